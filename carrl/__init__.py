@@ -1,0 +1,38 @@
+"""CarRL trains a car to drive from a handful of distance sensors."""
+
+import importlib
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carrl import log
+    from carrl.env.reward import Reward
+    from carrl.env.track_env import TrackEnv
+    from carrl.sim.sensor import Sensor
+    from carrl.sim.track import Track
+    from carrl.sim.vehicle import Action, Vehicle
+
+__all__ = ["Action", "Reward", "Sensor", "Track", "TrackEnv", "Vehicle", "__version__", "log"]
+
+try:
+    __version__ = version("carrl")
+except PackageNotFoundError:  # a checkout on the path that was never installed
+    __version__ = "0+unknown"
+
+_HOMES = {
+    "Action": "carrl.sim.vehicle",
+    "Reward": "carrl.env.reward",
+    "Sensor": "carrl.sim.sensor",
+    "Track": "carrl.sim.track",
+    "TrackEnv": "carrl.env.track_env",
+    "Vehicle": "carrl.sim.vehicle",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name on first use, so that `carrl log` starts without waiting for torch."""
+    if name == "log":
+        return importlib.import_module("carrl.log")
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'carrl' has no attribute {name!r}")

@@ -1,0 +1,85 @@
+"""Epsilon-greedy exploration on the paper's schedule.
+
+Shapes: `N` cars.
+"""
+
+import math
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import TensorSpec
+from torchrl.envs.utils import ExplorationType, exploration_type
+from torchrl.modules import EGreedyModule
+
+from carrl.errors import ConfigError
+
+
+class ExponentialEpsilonGreedy(EGreedyModule):
+    """Replaces an action by a random one with probability epsilon, which decays exponentially with the env steps.
+
+    epsilon(t) = epsilon_min + (epsilon_max - epsilon_min) * exp(-decay_rate * t), t in env steps.
+
+    TorchRL's own module anneals linearly; this one overrides the schedule, draws from a generator of its own, and
+    also writes `epsilon` [N] float32 and `exploratory` [N] bool, whether the action was drawn at random. All cars
+    that step together act on the same t; `step` counts every one of them.
+
+    Source: the paper, eq. 4 and Table I.
+
+    Args:
+        epsilon_max: at t = 0.
+        epsilon_min: towards which epsilon decays.
+        decay_rate: 1 / env steps.
+        action_spec: of one car.
+        generator: drawn from in every exploring call.
+
+    Raises:
+        ConfigError: unless 0 <= epsilon_min <= epsilon_max <= 1 and decay_rate >= 0.
+    """
+
+    def __init__(
+        self,
+        epsilon_max: float,
+        epsilon_min: float,
+        decay_rate: float,
+        *,
+        action_spec: TensorSpec,
+        generator: torch.Generator,
+    ) -> None:
+        """Starts at t = 0."""
+        if not 0 <= epsilon_min <= epsilon_max <= 1:
+            raise ConfigError(
+                f"exploration.epsilon_min is {epsilon_min} and epsilon_max is {epsilon_max}; "
+                "they must satisfy 0 <= epsilon_min <= epsilon_max <= 1"
+            )
+        if not decay_rate >= 0:
+            raise ConfigError(f"exploration.decay_rate is {decay_rate}; it must be 0 or more per env step")
+        super().__init__(spec=action_spec, eps_init=epsilon_max, eps_end=epsilon_min)
+        self.epsilon_max, self.epsilon_min, self.decay_rate = epsilon_max, epsilon_min, decay_rate
+        self._action_count = action_spec.n
+        self._generator = generator
+        self.register_buffer("env_steps", torch.zeros((), dtype=torch.int64))
+
+    @property
+    def epsilon(self) -> float:
+        """The probability of a random action in the next call."""
+        return self.eps.item()
+
+    def step(self, frames: int = 1) -> None:
+        """Counts env steps, of however many cars, and moves epsilon along eq. 4."""
+        self.env_steps += frames
+        decay = math.exp(-self.decay_rate * self.env_steps.item())
+        self.eps.fill_(self.epsilon_min + (self.epsilon_max - self.epsilon_min) * decay)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Explores unless the exploration type asks for the greedy action."""
+        greedy = tensordict["action"]
+        epsilon = self.eps.expand(greedy.shape)
+        if exploration_type() not in (ExplorationType.RANDOM, None):
+            epsilon = torch.zeros_like(epsilon)
+        shape, device = greedy.shape, self._generator.device
+        exploratory = (torch.rand(shape, generator=self._generator, device=device) < epsilon.to(device)).to(greedy.device)
+        drawn = torch.randint(self._action_count, shape, generator=self._generator, device=device).to(greedy.device)
+        tensordict["action"] = torch.where(exploratory, drawn, greedy)
+        tensordict["epsilon"] = epsilon.clone()
+        tensordict["exploratory"] = exploratory
+        return tensordict

@@ -1,0 +1,41 @@
+"""The action-value network.
+
+Shapes: `N` cars or transitions, `R` rays.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+from torchrl.modules import MLP, QValueActor
+
+from carrl.errors import ConfigError
+
+
+def make_q_network(
+    hidden_sizes: Sequence[int], *, observation_size: int, action_count: int, generator: torch.Generator
+) -> QValueActor:
+    """A ReLU network with a linear output that picks the action of the highest value.
+
+    Reads `observation` [N, R]; writes `action_value` [N, 3], `chosen_action_value` [N, 1] and the greedy `action`
+    [N], int64. Weights are He-initialised (uniform, gain of ReLU) and biases start at zero: with torch's default,
+    which scales the weights down by sqrt(6), more runs end in a network whose output no longer depends on its input.
+
+    Source: He et al. 2015, "Delving Deep into Rectifiers", eq. 10; layer sizes from the paper's Table I.
+
+    Raises:
+        ConfigError: a hidden layer without units.
+    """
+    if any(size < 1 for size in hidden_sizes):
+        raise ConfigError(f"network.hidden_sizes is {list(hidden_sizes)}; every layer needs at least 1 unit")
+    mlp = MLP(
+        in_features=observation_size,
+        out_features=action_count,
+        num_cells=list(hidden_sizes),
+        activation_class=nn.ReLU,
+    )
+    for layer in mlp:
+        if isinstance(layer, nn.Linear):
+            nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
+            nn.init.zeros_(layer.bias)
+    return QValueActor(mlp, in_keys=["observation"], action_space="categorical")

@@ -1,0 +1,130 @@
+"""`carrl train`: trains a policy and leaves its run's folder."""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from torchrl import logger as torchrl_logger
+
+from carrl.config import build_node, config_dir
+from carrl.errors import CarrlError, ConfigError
+from carrl.run.build import Pipeline, build_pipeline
+from carrl.run.folder import LAP, LEARNING_CURVE, LOG, RunFolder
+from carrl.run.summary import summarise
+from carrl.run.trainer import Trainer
+from carrl.view.console import TrainingDisplay, print_summary
+from carrl.view.lap import draw_lap
+from carrl.view.learning_curve import draw_learning_curve
+
+
+def main(argv: list[str]) -> int:
+    """Runs Hydra on the overrides, for one run or, with -m, for many."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of Hydra's own printer, which exits with 1
+    sys.argv = ["carrl train", *(override for argument in argv for override in _name_track_file(argument))]
+    failures: list[CarrlError] = []
+
+    def job(config: DictConfig) -> None:
+        try:
+            _train(config)
+        except CarrlError as error:  # kept from Hydra, which would print it in its own way and stop a sweep
+            failures.append(error)
+
+    try:
+        hydra.main(version_base="1.3", config_path=str(config_dir()), config_name="train")(job)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(" ".join(str(error).split())) from error
+    if failures:
+        raise CarrlError("; ".join(dict.fromkeys(map(str, failures))))
+    return 0
+
+
+def _name_track_file(argument: str) -> list[str]:
+    """Lets `track=FILE.csv` stand for the track group's option `file`, with the path made absolute."""
+    key, _, value = argument.partition("=")
+    if key != "track" or not value.lower().endswith(".csv") or "," in value:
+        return [argument]
+    path = os.path.abspath(value.strip("'\"")).replace("'", "\\'")
+    return ["track=file", f"track.name_or_path='{path}'"]
+
+
+def _train(config: DictConfig) -> None:
+    torchrl_logger.setLevel("WARNING")
+    values: dict[str, Any] = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
+    torch.set_num_threads(values["threads"])
+    path = Path(HydraConfig.get().runtime.output_dir)
+    pipeline = build_pipeline(values)
+    with RunFolder(path, _open_log(path, config, pipeline)) as folder:
+        trainer = Trainer(pipeline, folder)
+        limits = pipeline.limits
+        with _stopping_on_signals(trainer) as interrupted, TrainingDisplay(limits.frames, limits.episodes) as display:
+            trainer.run(display)
+        summary = summarise(trainer, seed=values["seed"], track=pipeline.world.track.name)
+        folder.write_summary(summary)
+    _draw(path, pipeline, trainer)
+    print_summary(summary, path)
+    if interrupted:
+        raise KeyboardInterrupt
+
+
+def _open_log(path: Path, config: DictConfig, pipeline: Pipeline) -> Any:
+    if not config.get("recorder"):
+        return None
+    track = pipeline.world.track
+    return build_node(
+        "recorder",
+        OmegaConf.to_container(config.recorder),  # type: ignore[arg-type]
+        path=path / LOG,
+        attachments={
+            "config.yaml": OmegaConf.to_yaml(config, resolve=True).encode(),
+            "track.json": json.dumps(track.as_dict()).encode(),
+        },
+        metadata={"seed": str(config.seed), "track": track.name},
+    )
+
+
+@contextmanager
+def _stopping_on_signals(trainer: Trainer) -> Iterator[list[int]]:
+    """Lets the first SIGINT or SIGTERM end the run with everything saved, and the second end the process."""
+    received: list[int] = []
+
+    def stop(number: int, _frame: object) -> None:
+        if received:
+            raise KeyboardInterrupt
+        received.append(number)
+        trainer.stop()
+
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _draw(path: Path, pipeline: Pipeline, trainer: Trainer) -> None:
+    first_lap = trainer.first_lap.episode if trainer.first_lap else None
+    draw_learning_curve(path / LEARNING_CURVE, trainer.episode_returns, first_lap_episode=first_lap)
+    best, world = trainer.best, pipeline.world
+    if best is not None:
+        draw_lap(
+            path / LAP,
+            world.track,
+            best.poses,
+            best.ranges,
+            world.sensor.angles.numpy(),
+            best.actions,
+            body_radius=world.vehicle.body_radius,
+            title=f"{world.track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
+            collided=best.collided,
+        )

@@ -1,0 +1,28 @@
+"""Collects transitions from the environment."""
+
+from tensordict.nn import TensorDictModuleBase
+
+# Known as SyncDataCollector until torchrl 0.13; the old name is gone in 0.14.
+from torchrl.collectors import Collector as SyncDataCollector
+
+from carrl.env.track_env import TrackEnv
+from carrl.errors import ConfigError
+
+
+def make_collector(steps_per_batch: int, *, env: TrackEnv, policy: TensorDictModuleBase) -> SyncDataCollector:
+    """An endless iterator over batches of transitions, [N, steps_per_batch], from all cars of the environment.
+
+    Raises:
+        ConfigError: `steps_per_batch` is less than 1.
+    """
+    if steps_per_batch < 1:
+        raise ConfigError(f"collector.steps_per_batch is {steps_per_batch}; it must be at least 1")
+    return SyncDataCollector(
+        env,
+        policy,
+        frames_per_batch=steps_per_batch * env.batch_size[0],
+        total_frames=-1,
+        trust_policy=True,
+        track_traj_ids=False,
+        auto_register_policy_transforms=False,
+    )

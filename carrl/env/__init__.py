@@ -1,0 +1,1 @@
+"""The driving task: the only place where physics meets TensorDict."""

@@ -1,0 +1,175 @@
+"""The driving task as a TorchRL environment.
+
+Shapes: `N` cars driven side by side, `R` rays.
+"""
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from carrl.env.reward import TERMS, Reward
+from carrl.errors import ConfigError
+from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import Simulator, State
+from carrl.sim.track import Track
+from carrl.sim.vehicle import Action, Vehicle
+
+
+class TrackEnv(EnvBase):
+    """Cars that learn to drive round a track from their distance sensors alone.
+
+    | key | shape, type | meaning |
+    |---|---|---|
+    | `observation` | [N, R] float32 | distance along each ray / range, 0..1, right to left |
+    | `action` | [N] int64 | 0 forward, 1 left, 2 right |
+    | `reward` | [N, 1] float32 | sum of `reward_terms` |
+    | `reward_terms` | [N, 3] float32 | collision, proximity, gate; zero after a reset |
+    | `terminated` | [N, 1] bool | the car touched a wall |
+    | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
+    | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
+    | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
+
+    The state of the cars travels in the TensorDict; the environment keeps only its random generator, which drives
+    random starts and `rand_action`. The same seed gives the same rollout, whatever other code draws from torch.
+
+    Args:
+        track: a track, or what `Track.load` takes.
+        num_envs: how many cars, N.
+        device: where the tensors live.
+        seed: of the environment's generator; None for a fresh one.
+        vehicle: the car.
+        sensor: its rays.
+        reward: what a step earns.
+        max_steps: length at which an episode is truncated, steps.
+        random_start: start anywhere along the centreline instead of on the start line.
+
+    Raises:
+        TrackError: the track cannot be loaded.
+        ConfigError: a parameter is out of its range.
+    """
+
+    def __init__(
+        self,
+        track: Track | str = "paper",
+        num_envs: int = 1,
+        device: torch.device | str = "cpu",
+        seed: int | None = None,
+        *,
+        vehicle: Vehicle | None = None,
+        sensor: Sensor | None = None,
+        reward: Reward | None = None,
+        max_steps: int = 1000,
+        random_start: bool = False,
+    ) -> None:
+        """Builds the simulator and declares the specs."""
+        if num_envs < 1:
+            raise ConfigError(f"env.num_envs is {num_envs}; it must be at least 1")
+        if max_steps < 1:
+            raise ConfigError(f"env.max_steps is {max_steps}; it must be at least 1")
+        super().__init__(device=device, batch_size=[num_envs])
+        self.max_steps = max_steps
+        self.random_start = random_start
+        self.reward = reward or Reward()
+        track = track if isinstance(track, Track) else Track.load(track)
+        self.simulator = Simulator(track, vehicle or Vehicle(), sensor or Sensor(), self.device)
+        self._generator = torch.Generator()
+        self._declare_specs()
+        self._start_line = self._start(torch.zeros(num_envs, dtype=torch.float64))
+        if seed is None:
+            self._generator.seed()
+        else:
+            self.set_seed(seed)
+
+    @property
+    def track(self) -> Track:
+        """The track that all cars drive on."""
+        return self.simulator.track
+
+    @property
+    def sensor_range(self) -> float:
+        """Distance at which a ray reads 1, m."""
+        return self.simulator.sensor.max_range
+
+    @property
+    def sensor_angles(self) -> Tensor:
+        """Directions of the rays, [R], float32, rad counter-clockwise from the heading."""
+        return self.simulator.sensor_angles
+
+    def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        """Draws an action for every car from the environment's own generator."""
+        action = torch.randint(len(Action), self.batch_size, generator=self._generator).to(self.device)
+        if tensordict is None:
+            return TensorDict({"action": action}, batch_size=self.batch_size, device=self.device)
+        return tensordict.set("action", action)
+
+    def _reset(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        """All cars at the start; in a partial reset EnvBase keeps the others as they were."""
+        if self.random_start:
+            stations = torch.rand(self.batch_size, dtype=torch.float64, generator=self._generator) * self.track.length
+            return self._start(stations)
+        return self._start_line.clone()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        before = State(tensordict["pose"], tensordict["next_gate"], tensordict["gates_passed"])
+        outcome = self.simulator.step(before, tensordict["action"])
+        observation = outcome.ranges / self.sensor_range
+        reward_terms = self.reward.terms(observation, outcome.collided, outcome.gates_passed)
+        step = tensordict["step"] + 1
+        truncated = (step >= self.max_steps) & ~outcome.collided
+        after = self._pack(outcome.state, observation, reward_terms, step)
+        return after.update(
+            {
+                "reward": reward_terms.sum(dim=-1, keepdim=True),
+                "terminated": outcome.collided[:, None],
+                "truncated": truncated[:, None],
+                "done": (outcome.collided | truncated)[:, None],
+            }
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._generator.manual_seed(0 if seed is None else seed)
+
+    def _start(self, stations: Tensor) -> TensorDict:
+        """The cars at the start of an episode, not done: stations [N], m."""
+        state = self.simulator.start(stations)
+        observation = self.simulator.sense(state.pose) / self.sensor_range
+        terms = observation.new_zeros(*self.batch_size, len(TERMS))
+        not_done = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+        return self._pack(state, observation, terms, torch.zeros_like(state.next_gate)).update(
+            {"done": not_done, "terminated": not_done.clone(), "truncated": not_done.clone()}
+        )
+
+    def _pack(self, state: State, observation: Tensor, reward_terms: Tensor, step: Tensor) -> TensorDict:
+        return TensorDict(
+            {"observation": observation, "reward_terms": reward_terms, "step": step, **state._asdict()},
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+    def _declare_specs(self) -> None:
+        cars = self.batch_size[0]
+        options = {"device": self.device}
+        count = Unbounded((cars,), dtype=torch.int64, **options)
+        state = {
+            "pose": Unbounded((cars, 3), dtype=torch.float32, **options),
+            "next_gate": Categorical(self.track.gate_count, shape=(cars,), dtype=torch.int64, **options),
+            "gates_passed": count,
+            "step": count.clone(),
+        }
+        rays = self.simulator.sensor.rays
+        self.observation_spec = Composite(
+            observation=Bounded(0.0, 1.0, shape=(cars, rays), dtype=torch.float32, **options),
+            reward_terms=Unbounded((cars, len(TERMS)), dtype=torch.float32, **options),
+            **state,
+            shape=(cars,),
+            **options,
+        )
+        self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,), **options)
+        self.action_spec = Categorical(len(Action), shape=(cars,), dtype=torch.int64, **options)
+        self.reward_spec = Unbounded((cars, 1), dtype=torch.float32, **options)
+        flag = Binary(1, shape=(cars, 1), dtype=torch.bool, **options)
+        self.done_spec = Composite(
+            done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options
+        )

@@ -1,0 +1,21 @@
+"""Errors that a user can cause and mend; the command line prints their message alone and exits with 2."""
+
+
+class CarrlError(Exception):
+    """Base of every error that names its cause and its remedy in one sentence."""
+
+
+class TrackError(CarrlError):
+    """A track that cannot be found, read or driven."""
+
+
+class ConfigError(CarrlError):
+    """A parameter outside its allowed values, or a configuration that does not compose."""
+
+
+class LogError(CarrlError):
+    """A log file that cannot be written, or is not a readable CarRL log."""
+
+
+class CheckpointError(CarrlError):
+    """A run folder or checkpoint that is missing, damaged or of another version."""

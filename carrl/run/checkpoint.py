@@ -1,0 +1,44 @@
+"""Checkpoints: what a run has learnt, saved so that loading runs no code."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from carrl.errors import CheckpointError
+
+FORMAT_VERSION = 1
+
+
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Writes tensors and plain values, whole or not at all.
+
+    Raises:
+        CheckpointError: the disk refuses it.
+    """
+    partial_path = path.with_suffix(".partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.save({"format_version": FORMAT_VERSION, **state}, partial_path)
+        os.replace(partial_path, path)
+    except (OSError, RuntimeError) as error:
+        raise CheckpointError(f"checkpoint '{path}' cannot be written: {error}") from error
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Reads what `save_checkpoint` wrote, onto the CPU.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, holds more than tensors and plain values, or has another version.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"checkpoint '{path}' does not exist; name the folder of a run that has begun to train")
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch.load raises whatever the unpickler meets
+        raise CheckpointError(f"checkpoint '{path}' is damaged or no checkpoint of CarRL") from error
+    version = state.get("format_version") if isinstance(state, dict) else None
+    if version != FORMAT_VERSION:
+        raise CheckpointError(f"checkpoint '{path}' has format version {version}; this CarRL reads {FORMAT_VERSION}")
+    return state

@@ -1,0 +1,188 @@
+"""A run's folder: what is in it, written and read in one place.
+
+    .hydra/config.yaml    the resolved configuration
+    train.mcap            every transition
+    checkpoints/          best.pt and last.pt
+    metrics.csv           a row for each ended episode
+    evaluations.csv       a row for each greedy drive during training
+    summary.json          the run in a few figures
+    learning_curve.png, lap.png
+"""
+
+import csv
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+from tensordict import TensorDictBase
+
+from carrl.errors import CarrlError, CheckpointError
+from carrl.record.writer import TransitionWriter
+from carrl.run.checkpoint import load_checkpoint, save_checkpoint
+from carrl.run.episodes import Episode
+from carrl.run.evaluation import Drive
+
+CONFIG = Path(".hydra/config.yaml")
+LOG = "train.mcap"
+METRICS = "metrics.csv"
+EVALUATIONS = "evaluations.csv"
+SUMMARY = "summary.json"
+LEARNING_CURVE = "learning_curve.png"
+LAP = "lap.png"
+MAX_TEXT_BYTES = 64 * 2**20
+
+
+class RunFolder:
+    """The folder of a run in progress; use it in a `with` statement, so that its files are completed."""
+
+    def __init__(self, path: Path, recorder: TransitionWriter | None = None) -> None:
+        """Opens the tables.
+
+        Raises:
+            CarrlError: the folder cannot be written.
+        """
+        self.path = path
+        self._recorder = recorder
+        self._metrics = _Table(path / METRICS)
+        self._evaluations = _Table(path / EVALUATIONS)
+
+    def __enter__(self) -> Self:
+        """Returns the folder itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Completes the log and the tables, also after an error."""
+        self._metrics.close()
+        self._evaluations.close()
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def record(self, transitions: TensorDictBase, time_s: float) -> None:
+        """Logs transitions [F] of the simulated time `time_s`, s."""
+        if self._recorder is not None:
+            self._recorder.write(transitions, time_s)
+
+    def add_episode(
+        self, episode: Episode, recent_return: float, epsilon: float, loss: float, updates: int, wall_time_s: float
+    ) -> None:
+        """Adds a row to `metrics.csv`."""
+        self._metrics.append(
+            {
+                **asdict(episode),
+                "mean_return_20": round(recent_return, 3),
+                "epsilon": round(epsilon, 6),
+                "loss": loss,
+                "updates": updates,
+                "wall_time_s": round(wall_time_s, 3),
+            }
+        )
+
+    def add_evaluation(self, attempt: Drive, frames: int, episodes: int) -> None:
+        """Adds a row to `evaluations.csv`."""
+        self._evaluations.append({"frames": frames, "episodes": episodes, **attempt.measures()})
+
+    def save_checkpoint(self, name: str, state: Mapping[str, Any]) -> None:
+        """Writes `checkpoints/NAME.pt`."""
+        save_checkpoint(checkpoint_path(self.path, name), dict(state))
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Writes `summary.json`."""
+        write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
+
+
+def checkpoint_path(run: Path, name: str) -> Path:
+    """Where a run keeps the checkpoint of this name, `best` or `last`."""
+    return run / "checkpoints" / f"{name}.pt"
+
+
+def read_config(run: Path) -> dict[str, Any]:
+    """The resolved configuration of a run, as plain values.
+
+    Raises:
+        CheckpointError: this is no run's folder.
+    """
+    if not run.is_dir():
+        raise CheckpointError(f"run '{run}' is not a folder; name the folder of a run, such as outputs/2026-01-31/12-00-00")
+    try:
+        config = yaml.safe_load(read_text(run / CONFIG))
+    except yaml.YAMLError as error:
+        raise CheckpointError(f"run '{run}': {CONFIG} is not YAML") from error
+    if not isinstance(config, dict):
+        raise CheckpointError(f"run '{run}': {CONFIG} holds no configuration")
+    return config
+
+
+def read_policy(run: Path, name: str = "best") -> dict[str, Any]:
+    """The state of a run's network."""
+    state = load_checkpoint(checkpoint_path(run, name)).get("network")
+    if not isinstance(state, dict):
+        raise CheckpointError(f"checkpoint '{checkpoint_path(run, name)}' holds no network")
+    return state
+
+
+def read_text(path: Path) -> str:
+    """The text of a run's file, bounded in size.
+
+    Raises:
+        CheckpointError: the file is missing, too large or no text.
+    """
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise CheckpointError(f"'{path}' is larger than {MAX_TEXT_BYTES} bytes")
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise CheckpointError(f"'{path}' does not exist; a run's folder has it") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CheckpointError(f"'{path}' cannot be read: {error}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file whole or not at all.
+
+    Raises:
+        CarrlError: the disk refuses it.
+    """
+    partial_path = path.with_name(path.name + ".partial")
+    try:
+        partial_path.write_text(text, encoding="utf-8")
+        os.replace(partial_path, path)
+    except OSError as error:
+        raise CarrlError(f"'{path}' cannot be written: {error.strerror}") from error
+
+
+class _Table:
+    """A CSV file that grows row by row; its header is the first row's keys."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._writer: csv.DictWriter[str] | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("w", newline="", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        try:
+            if self._writer is None:
+                self._writer = csv.DictWriter(self._file, list(row))
+                self._writer.writeheader()
+            self._writer.writerow(row)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def close(self) -> None:
+        try:
+            self._file.close()
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> CarrlError:
+        return CarrlError(f"'{self._path}' cannot be written: {error.strerror}")

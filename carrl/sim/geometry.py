@@ -1,0 +1,85 @@
+"""Exact batched intersections and distances between points, rays and wall segments.
+
+Shapes: `B` cars, `R` rays, `S` segments. Lengths are in metres, angles in radians counter-clockwise from +x.
+"""
+
+import torch
+from torch import Tensor
+
+# Rays and walls that meet at a shared end point must not slip through the joint by a rounding error.
+_JOINT_TOLERANCE = 1e-9
+
+
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """The z component of the cross product of 2D vectors: positive where `b` points to the left of `a`."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def ray_distances(origins: Tensor, angles: Tensor, segments: Tensor, max_range: float) -> Tensor:
+    """The distance along each ray to the first segment it meets.
+
+    Computed in float64 and rounded once: a ray that grazes a wall at angle a amplifies rounding by 1 / sin(a),
+    which in float32 puts about one ray in a thousand more than 0.1 mm off.
+
+    Args:
+        origins: where the rays start, [B, 2], m.
+        angles: where they point, [B, R], rad, in the same frame as the segments.
+        segments: [S, 2, 2], m.
+        max_range: the distance reported where a ray meets nothing nearer, m.
+
+    Returns:
+        [B, R], the dtype of `origins`, m, in [0, max_range]. A ray that runs parallel to a segment does not meet it.
+    """
+    angles = angles.double()
+    directions = torch.stack([angles.cos(), angles.sin()], dim=-1)[:, :, None]
+    segments = segments.double()
+    edges = segments[:, 1] - segments[:, 0]
+    to_start = segments[:, 0] - origins.double()[:, None, None]
+    denominator = cross(directions, edges)
+    distance = cross(to_start, edges) / denominator
+    position = cross(to_start, directions) / denominator
+    # Parallel rays divide by zero; inf and nan fail every comparison below.
+    meets = (distance >= 0) & (position >= -_JOINT_TOLERANCE) & (position <= 1 + _JOINT_TOLERANCE)
+    nearest = torch.where(meets, distance, max_range).amin(dim=-1)
+    return nearest.clamp(max=max_range).to(origins.dtype)
+
+
+def point_segment_distances(points: Tensor, starts: Tensor, ends: Tensor) -> Tensor:
+    """The distance from points to segments, all broadcast against each other: [..., 2] to [...], m."""
+    edges = ends - starts
+    squared_length = (edges * edges).sum(-1).clamp(min=torch.finfo(edges.dtype).tiny)
+    position = (((points - starts) * edges).sum(-1) / squared_length).clamp(0, 1)
+    return torch.linalg.vector_norm(points - starts - position[..., None] * edges, dim=-1)
+
+
+def crosses(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:
+    """Whether each path start-end properly crosses each segment: [B, 2], [B, 2], [S, 2, 2] to [B, S] bool."""
+    starts, ends = starts[:, None], ends[:, None]
+    path, edges = ends - starts, segments[:, 1] - segments[:, 0]
+    path_straddles = cross(edges, starts - segments[:, 0]) * cross(edges, ends - segments[:, 0]) < 0
+    segment_straddles = cross(path, segments[:, 0] - starts) * cross(path, segments[:, 1] - starts) < 0
+    return path_straddles & segment_straddles
+
+
+def path_clearance(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:
+    """The least distance that each straight path start-end keeps from all segments.
+
+    Args:
+        starts: [B, 2], m.
+        ends: [B, 2], m. May equal `starts`.
+        segments: [S, 2, 2], m.
+
+    Returns:
+        [B], m; 0 where the path crosses a segment. Exact, since two segments that do not cross are nearest to each
+        other at one of their four end points.
+    """
+    first, last = segments[:, 0], segments[:, 1]
+    from_path = torch.minimum(
+        point_segment_distances(starts[:, None], first, last), point_segment_distances(ends[:, None], first, last)
+    )
+    from_segments = torch.minimum(
+        point_segment_distances(first, starts[:, None], ends[:, None]),
+        point_segment_distances(last, starts[:, None], ends[:, None]),
+    )
+    clearance = torch.minimum(from_path, from_segments)
+    return torch.where(crosses(starts, ends, segments), 0.0, clearance).amin(dim=-1)

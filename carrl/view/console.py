@@ -1,0 +1,91 @@
+"""What a run shows on the terminal: a progress line, and a table at the end."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from carrl.run.trainer import RECENT_EPISODES, Trainer
+
+
+class TrainingDisplay:
+    """A live progress line for a training run; use it in a `with` statement and call it after every round."""
+
+    def __init__(self, frames_limit: int, episodes_limit: int) -> None:
+        """Shows nothing before the first round."""
+        self._frames_limit, self._episodes_limit = frames_limit, episodes_limit
+        columns = (SpinnerColumn(), BarColumn(bar_width=20), TaskProgressColumn(), TimeElapsedColumn())
+        self._progress = Progress(*columns, TextColumn("{task.description}"), console=Console(stderr=True))
+        self._task = self._progress.add_task("", total=1.0)
+
+    def __enter__(self) -> Self:
+        """Begins to draw."""
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leaves the last line on the screen."""
+        self._progress.stop()
+
+    def __call__(self, trainer: Trainer) -> None:
+        """Moves the line on."""
+        done = max(trainer.frames / self._frames_limit, trainer.episodes / self._episodes_limit)
+        self._progress.update(self._task, completed=min(done, 1.0), description=_describe(trainer))
+
+
+def _describe(trainer: Trainer) -> str:
+    recent = "-" if math.isnan(trainer.recent_return) else f"{trainer.recent_return:.0f}"
+    rate = trainer.frames / max(trainer.wall_time_s, 1e-9)
+    return (
+        f"{trainer.frames:,} frames · {trainer.episodes:,} episodes · return({RECENT_EPISODES}) {recent} · "
+        f"epsilon {trainer.epsilon:.2f} · {trainer.laps:,} laps · {rate:,.0f} frames/s"
+    )
+
+
+def print_summary(summary: Mapping[str, Any], folder: Path) -> None:
+    """Prints the run's result as a short table."""
+    table = Table(title=f"seed {summary['seed']} on track {summary['track']}", title_justify="left")
+    table.add_column("result")
+    table.add_column("", justify="right")
+    for name, value in _summary_rows(summary):
+        table.add_row(name, value)
+    console = Console()
+    console.print(table)
+    console.print(f"results in {folder}", soft_wrap=True, highlight=False)
+
+
+def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    first, best = summary["first_lap"], summary["evaluation"]
+    rows = [
+        ("frames", f"{summary['frames']:,}"),
+        ("episodes", f"{summary['episodes']:,}"),
+        ("updates", f"{summary['updates']:,}"),
+        ("wall time", f"{summary['wall_time_s']:.1f} s"),
+        ("first greedy lap", f"frame {first['frame']:,}, episode {first['episode']:,}" if first else "none"),
+    ]
+    if best:
+        rows += [
+            ("best greedy lap", "complete" if best["lap_completed"] else f"{best['progress']:.0%} of a lap"),
+            ("its reward", f"{best['lap_reward']:.0f}"),
+            ("its steps", f"{best['lap_steps']}"),
+            ("forward share", f"{best['forward_share']:.0%}"),
+            ("switches per 100 m", f"{best['switches_per_100m']:.1f}"),
+        ]
+    return rows
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints a table whose first column is text and whose others are figures."""
+    table = Table(title=title, title_justify="left")
+    for index, name in enumerate(header):
+        table.add_column(name, justify="left" if index == 0 else "right", no_wrap=index == 0)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)

@@ -1,0 +1,54 @@
+"""What every figure shares: colours, size, and a way onto the disk that never leaves half a picture."""
+
+import os
+from io import BytesIO
+from pathlib import Path
+from uuid import uuid4
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+WIDTH = 7.0
+"""Width of a figure, inches."""
+DPI = 130
+"""Pixels per inch: a figure is 910 pixels wide, about as wide as a README."""
+
+INK = "#222222"
+FAINT = "#6b6b6b"
+BLACK = "#000000"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+GREEN = "#009E73"
+YELLOW = "#F0E442"
+"""The last five are Okabe and Ito's (2008) colours, which colour-blind readers can tell apart."""
+
+
+def new_figure(height: float, constrained: bool = True) -> Figure:
+    """A white figure of the common width, height in inches, in no window and no global state."""
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained" if constrained else None)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def plain_axes(axes: Axes) -> None:
+    """Gives axes of a diagram two thin spines, small ticks and faint horizontal lines."""
+    axes.set_facecolor("white")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set(color=FAINT, linewidth=0.8)
+    axes.tick_params(colors=FAINT, labelcolor=INK, labelsize=8, width=0.8, length=3)
+    axes.grid(axis="y", color="#e4e4e4", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def save_png(figure: Figure, path: str | Path) -> None:
+    """Writes the figure to `path`, whole or not at all: a reader sees the old picture or the new one."""
+    path = Path(path)
+    picture = BytesIO()
+    figure.savefig(picture, format="png", dpi=DPI, facecolor="white")
+    partial = path.with_name(f".{path.name}.{uuid4().hex}.partial")
+    try:
+        partial.write_bytes(picture.getvalue())
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,183 @@
+"""A map of a track: the road between its walls, numbered gates, the start and the driving direction, a scale bar.
+
+Shapes: `P` points of the centreline, `G` gates, `K` any points. Lengths on the track are in metres, on the paper in
+points (1/72 inch). Tracks of 100 m and of 7 km are drawn alike: widths and offsets are set on the paper.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, PathPatch
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
+
+from carrl.sim.track import Track
+from carrl.view.figure import INK, WIDTH, new_figure
+
+Floats = NDArray[np.floating]
+
+ROAD = "#dcdcdc"
+WALL = "#555555"
+GATE = "#ffffff"
+MOST_GATE_NUMBERS = 24
+MARGIN, HEAD, FOOT, TALLEST = 32.0, 14.0, 24.0, 430.0
+"""Room for labels around the road, for the title and for the legend, and the most height of the road itself; points."""
+
+
+@dataclass(frozen=True)
+class TrackMap:
+    """A figure that is a map from edge to edge.
+
+    Attributes:
+        figure: to be saved.
+        axes: in metres, with equal aspect, as large as the figure.
+        scale: points per metre.
+    """
+
+    figure: Figure
+    axes: Axes
+    scale: float
+
+    def width(self, metres: float, least: float, most: float) -> float:
+        """A width on the track as one on the paper, points, kept between two bounds."""
+        return float(np.clip(metres * self.scale, least, most))
+
+    @property
+    def frame(self) -> tuple[float, float, float, float]:
+        """Left, bottom, right and top of the part between title and legend, m."""
+        (left, right), (bottom, top) = self.axes.get_xlim(), self.axes.get_ylim()
+        edge = 10 / self.scale
+        return left + edge, bottom + FOOT / self.scale + edge, right - edge, top - HEAD / self.scale - edge
+
+
+def draw_track_map(track: Track, title: str) -> TrackMap:
+    """A new map of the track, with a strip free below it for a legend."""
+    walls = track.walls.numpy().reshape(-1, 2).astype(np.float64)
+    track_map = _blank_map(walls.min(axis=0), walls.max(axis=0))
+    axes = track_map.axes
+    draw_road(track_map, track)
+    draw_gates(track_map, track)
+    _number_gates(track_map, track, covered=_draw_start(track_map, track))
+    _draw_scale_bar(track_map)
+    axes.annotate(
+        title,
+        (0.5, 1),
+        (0, -8),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontsize=10.5,
+        color=INK,
+        parse_math=False,
+    )
+    return track_map
+
+
+def _blank_map(low: Floats, high: Floats) -> TrackMap:
+    """An empty map of the rectangle between two corners, m, as large as the common width and TALLEST allow."""
+    size = high - low
+    paper_width = WIDTH * 72
+    scale = float(min((paper_width - 2 * MARGIN) / size[0], TALLEST / size[1]))
+    paper_height = size[1] * scale + HEAD + FOOT + 2 * MARGIN
+    figure = new_figure(paper_height / 72, constrained=False)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    left = (low[0] + high[0] - paper_width / scale) / 2
+    bottom = low[1] - (FOOT + MARGIN) / scale
+    axes.set_xlim(left, left + paper_width / scale)
+    axes.set_ylim(bottom, bottom + paper_height / scale)
+    return TrackMap(figure, axes, scale)
+
+
+def draw_road(track_map: TrackMap, track: Track) -> None:
+    """Fills the ring between the walls: one wall forwards and the other backwards leave a hole."""
+    sides = track.left_wall.numpy(), track.right_wall.numpy()[::-1]
+    road = Outline.make_compound_path(*(Outline(np.vstack([side, side[:1]]), closed=True) for side in sides))
+    width = track_map.width(0.25, least=0.4, most=1.2)
+    track_map.axes.add_patch(PathPatch(road, facecolor=ROAD, edgecolor="none", zorder=1))
+    track_map.axes.add_patch(PathPatch(road, facecolor="none", edgecolor=WALL, linewidth=width, zorder=3))
+
+
+def draw_gates(track_map: TrackMap, track: Track) -> None:
+    """White lines across the road."""
+    width = track_map.width(0.4, least=0.5, most=2.0)
+    gates = LineCollection(list(track.gates.numpy()), colors=GATE, linewidths=width, zorder=2)
+    track_map.axes.add_collection(gates)
+
+
+def _draw_start(track_map: TrackMap, track: Track) -> Floats:
+    """The start line and beside it, on the roomier side, an arrow in the driving direction; returns what it covers."""
+    line = track.gates[-1].numpy().astype(np.float64)
+    axes, width = track_map.axes, track_map.width(0.6, least=1.2, most=3.0)
+    axes.plot(*line.T, color=INK, linewidth=width, solid_capstyle="butt", zorder=3.5)
+    axes.plot(*line.T, color=GATE, linewidth=width, linestyle=(0, (1.2, 1.2)), dash_capstyle="butt", zorder=3.6)
+    across = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    forward = np.array([-across[1], across[0]]) / track_map.scale
+    # Written before the arrow: "start" is wider than it is high.
+    behind = 6 + 9 * abs(forward[0]) * track_map.scale
+    sides = [np.stack([side - behind * forward, side, side + 26 * forward]) for side in _beside(track_map, line)]
+    word, tail, head = covered = max(sides, key=lambda places: _room(track, places))
+    _write(axes, word, "start")
+    axes.add_patch(
+        FancyArrowPatch(
+            tuple(tail),
+            tuple(head),
+            arrowstyle="-|>",
+            mutation_scale=9,
+            shrinkA=0,
+            shrinkB=0,
+            color=INK,
+            linewidth=1.2,
+            zorder=8,
+        )
+    )
+    return covered
+
+
+def _number_gates(track_map: TrackMap, track: Track, covered: Floats) -> None:
+    """Numbers outside the road where there is more room, but none on the places [K, 2]; the last gate is the start."""
+    gates = track.gates.numpy().astype(np.float64)
+    every = round(round_number(max(1.0, len(gates) / MOST_GATE_NUMBERS)))
+    for index in range(every - 1, len(gates) - 1, every):
+        place = max(_beside(track_map, gates[index]), key=lambda place: _room(track, place[None]))
+        if np.linalg.norm(covered - place, axis=1).min() * track_map.scale > 20:
+            _write(track_map.axes, place, str(index + 1))
+            covered = np.vstack([covered, place])
+
+
+def _draw_scale_bar(track_map: TrackMap) -> None:
+    """A bar of a round number of metres at the lower left."""
+    length = round_number(35 / track_map.scale)
+    left = track_map.axes.get_xlim()[0] + 14 / track_map.scale
+    bottom = track_map.axes.get_ylim()[0] + 14 / track_map.scale
+    tick = 2.5 / track_map.scale
+    x = [left, left, left, left + length, left + length, left + length]
+    y = [bottom + tick, bottom - tick, bottom, bottom, bottom - tick, bottom + tick]
+    track_map.axes.plot(x, y, color=INK, linewidth=1, zorder=8)
+    _write(track_map.axes, np.array([left + length / 2, bottom + 8 / track_map.scale]), f"{length:,g} m")
+
+
+def round_number(least: float) -> float:
+    """The smallest of ..., 1, 2, 5, 10, 20, 50, ... that is not below `least`."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(digit * power for digit in (1, 2, 5, 10) if digit * power >= least)
+
+
+def _beside(track_map: TrackMap, gate: Floats) -> tuple[Floats, Floats]:
+    """Places for a label just outside both ends of a gate, [2, 2]: two points [2]."""
+    outwards = (gate[0] - gate[1]) / np.linalg.norm(gate[0] - gate[1])
+    return gate[0] + outwards * 9 / track_map.scale, gate[1] - outwards * 9 / track_map.scale
+
+
+def _room(track: Track, places: Floats) -> float:
+    """Distance from the centreline to the nearest of the places [K, 2], m."""
+    return float(np.linalg.norm(track.centreline.numpy()[:, None] - places, axis=-1).min())
+
+
+def _write(axes: Axes, place: Floats, text: str) -> None:
+    axes.text(place[0], place[1], text, ha="center", va="center", fontsize=8, color=INK, zorder=8)

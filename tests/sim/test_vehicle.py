@@ -1,0 +1,101 @@
+"""The car's motion, against numbers worked by hand."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carrl.errors import ConfigError
+from carrl.sim.vehicle import Action, Vehicle
+
+
+def drive(vehicle: Vehicle, pose: tuple[float, float, float], *actions: Action) -> list[float]:
+    state = torch.tensor([pose], dtype=torch.float64)
+    for action in actions:
+        state = vehicle.move(state, torch.tensor([action]))
+    return state[0].tolist()
+
+
+def test_the_actions_are_numbered_forward_left_right():
+    assert [int(action) for action in (Action.FORWARD, Action.LEFT, Action.RIGHT)] == [0, 1, 2]
+
+
+def test_forward_moves_one_step_length_along_the_heading():
+    vehicle = Vehicle(speed=20.0, time_step=0.25)
+    assert vehicle.step_length == 5.0
+    assert drive(vehicle, (1.0, 2.0, math.atan2(4, 3)), Action.FORWARD) == pytest.approx([4, 6, math.atan2(4, 3)])
+
+
+def test_left_turns_counter_clockwise_before_it_moves():
+    vehicle = Vehicle(speed=10.0, time_step=0.1, turn_radius=6 / math.pi)  # 1 m and 30 degrees a step
+    assert vehicle.yaw_per_step == pytest.approx(math.radians(30))
+    assert drive(vehicle, (0.0, 0.0, 0.0), Action.LEFT) == pytest.approx([math.sqrt(3) / 2, 0.5, math.pi / 6])
+
+
+def test_right_is_the_mirror_image_of_left():
+    vehicle = Vehicle(turn_radius=6 / math.pi)
+    assert drive(vehicle, (0.0, 0.0, 0.0), Action.RIGHT) == pytest.approx([math.sqrt(3) / 2, -0.5, -math.pi / 6])
+
+
+def test_left_then_right_restores_the_heading_but_not_the_line():
+    vehicle = Vehicle(turn_radius=6 / math.pi)
+    x, y, heading = drive(vehicle, (0.0, 0.0, 0.0), Action.LEFT, Action.RIGHT)
+    assert [x, y, heading] == pytest.approx([1 + math.sqrt(3) / 2, 0.5, 0.0])
+
+
+def test_the_default_car_yaws_eight_degrees_a_step():
+    assert math.degrees(Vehicle().yaw_per_step) == pytest.approx(8, abs=0.05)
+
+
+@pytest.mark.parametrize("action", [Action.LEFT, Action.RIGHT])
+def test_the_polygon_of_the_turning_circle_closes_after_a_full_turn(action: Action):
+    sides = 45
+    vehicle = Vehicle(speed=10.0, time_step=0.1, turn_radius=sides / (2 * math.pi))
+    assert drive(vehicle, (3.0, -2.0, 1.0), *[action] * sides) == pytest.approx([3.0, -2.0, 1.0], abs=1e-9)
+    half_way = drive(vehicle, (3.0, -2.0, 1.0), *[action] * (sides // 2))
+    diameter = 1 / math.sin(math.pi / sides)  # of the regular polygon with sides of 1 m
+    assert math.dist(half_way[:2], (3.0, -2.0)) == pytest.approx(diameter, rel=1e-3)
+
+
+def test_the_heading_wraps_to_the_other_side_at_half_a_turn():
+    vehicle = Vehicle(turn_radius=6 / math.pi)
+    almost = math.radians(170)
+    assert drive(vehicle, (0.0, 0.0, almost), Action.LEFT)[2] == pytest.approx(math.radians(-160))
+    assert drive(vehicle, (0.0, 0.0, -almost), Action.RIGHT)[2] == pytest.approx(math.radians(160))
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(st.floats(-1e3, 1e3, width=32), st.floats(0.1, 1e4), st.sampled_from(list(Action)))
+def test_the_heading_stays_within_half_a_turn_of_zero_and_points_along_the_way(heading, speed, action):
+    vehicle = Vehicle(speed=speed)
+    pose = vehicle.move(torch.tensor([[0.0, 0.0, heading]]), torch.tensor([action]))
+    x, y, after = pose[0].tolist()
+    assert pose.dtype == torch.float32
+    assert abs(after) <= torch.tensor(math.pi).item()
+    assert [x, y] == pytest.approx(
+        [vehicle.step_length * math.cos(after), vehicle.step_length * math.sin(after)],
+        abs=2e-6 * (abs(heading) + vehicle.yaw_per_step + 5) * vehicle.step_length,
+    )
+
+
+def test_cars_side_by_side_each_follow_their_own_action():
+    pose = torch.tensor([[0.0, 0.0, 0.0]] * 3)
+    together = Vehicle().move(pose, torch.tensor([0, 1, 2]))
+    alone = torch.cat([Vehicle().move(pose[:1], torch.tensor([action])) for action in range(3)])
+    assert torch.equal(together, alone)
+    assert together[:, 1].sign().tolist() == [0, 1, -1]
+
+
+def test_moving_leaves_the_given_pose_as_it_was():
+    pose = torch.tensor([[1.0, 2.0, 3.0]])
+    Vehicle().move(pose, torch.tensor([1]))
+    assert pose.tolist() == [[1.0, 2.0, 3.0]]
+
+
+@pytest.mark.parametrize("parameter", ["speed", "time_step", "turn_radius", "body_radius"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "fast", None])
+def test_a_parameter_that_is_no_positive_number_is_refused_by_name_and_value(parameter: str, value: object):
+    with pytest.raises(ConfigError, match=rf"^vehicle\.{parameter} is {value}; it must be a positive number$"):
+        Vehicle(**{parameter: value})
