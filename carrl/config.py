@@ -12,7 +12,7 @@ from hydra.utils import get_object
 from carrl.errors import ConfigError
 
 ALLOWED_TARGETS = ("carrl.", "torch.optim.")
-"""Prefixes of what a config may build: a run's folder can come from a stranger."""
+"""What a config may build must be defined in here: a run's folder can come from a stranger."""
 
 
 def config_dir() -> Path:
@@ -40,16 +40,27 @@ def build_node(name: str, node: Mapping[str, Any], **dependencies: Any) -> Any:
     Raises:
         ConfigError: the target is not allowed, or a value has no place in it or another type than it wants.
     """
-    path = str(node.get("_target_"))
-    if not path.startswith(ALLOWED_TARGETS):
+    target = _find_target(name, node)
+    values = {key: value for key, value in node.items() if key not in ("_target_", "_partial_")}
+    _check_values(name, target, values)
+    try:
+        return target(**values, **dependencies)
+    except ValueError as error:  # how torch's optimizers refuse a value
+        raise ConfigError(f"{name}: {error}") from error
+
+
+def _find_target(name: str, node: Mapping[str, Any]) -> Callable[..., Any]:
+    path = str(node.get("_target_")) if isinstance(node, Mapping) else None
+    if path is None or not path.startswith(ALLOWED_TARGETS):
         raise ConfigError(f"{name}._target_ is '{path}'; it must begin with {' or '.join(ALLOWED_TARGETS)}")
     try:
         target = get_object(path)
     except Exception as error:
         raise ConfigError(f"{name}._target_ is '{path}', which cannot be found") from error
-    values = {key: value for key, value in node.items() if key not in ("_target_", "_partial_")}
-    _check_values(name, target, values)
-    return target(**values, **dependencies)
+    home = f"{getattr(target, '__module__', '')}."
+    if not callable(target) or not home.startswith(ALLOWED_TARGETS):  # carrl.config.inspect.os.system, say
+        raise ConfigError(f"{name}._target_ is '{path}', which is not a part of {' or '.join(ALLOWED_TARGETS)}")
+    return target
 
 
 def _check_values(name: str, target: Callable[..., Any], values: Mapping[str, Any]) -> None:
@@ -65,7 +76,7 @@ def _check_values(name: str, target: Callable[..., Any], values: Mapping[str, An
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Whether a plain YAML value may stand for a parameter of this type; unknown kinds of hints let everything pass."""
+    """Whether a plain YAML value may stand for a parameter of this type; a hint that is no type fits all."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return any(_fits(value, argument) for argument in arguments)
@@ -74,9 +85,7 @@ def _fits(value: Any, hint: Any) -> bool:
     if origin is not None and issubclass(origin, Sequence):
         return isinstance(value, list) and all(_fits(item, arguments[0]) for item in value)
     if hint in (int, float):
-        return not isinstance(value, bool) and isinstance(value, (int, hint))
+        return not isinstance(value, bool) and isinstance(value, int | hint)
     if hint is type(None):
         return value is None
-    if hint in (bool, str):
-        return isinstance(value, hint)
-    return True
+    return not inspect.isclass(hint) or isinstance(value, hint)

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-REAL_CIRCUITS = Path(__file__).resolve().parents[1].parent / "shared" / "tracks" / "real"
+REAL_CIRCUITS = Path(__file__).resolve().parents[2] / "shared" / "tracks" / "real"
 
 
 @pytest.fixture(scope="session")
 def real_circuits() -> Path:
     """The folder of real circuits' centrelines, which stands beside the repository where it is present at all."""
     if not REAL_CIRCUITS.is_dir():
-        pytest.skip(f"the optional folder of real circuits, {REAL_CIRCUITS}, is absent")
+        pytest.skip("the optional folder ../shared/tracks/real of real circuits is absent")
     return REAL_CIRCUITS

@@ -30,7 +30,7 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         epsilon_min: towards which epsilon decays.
         decay_rate: 1 / env steps.
         action_spec: of one car.
-        generator: drawn from in every exploring call.
+        generator: drawn from in every call, on the device of the actions.
 
     Raises:
         ConfigError: unless 0 <= epsilon_min <= epsilon_max <= 1 and decay_rate >= 0.
@@ -76,9 +76,9 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         epsilon = self.eps.expand(greedy.shape)
         if exploration_type() not in (ExplorationType.RANDOM, None):
             epsilon = torch.zeros_like(epsilon)
-        shape, device = greedy.shape, self._generator.device
-        exploratory = (torch.rand(shape, generator=self._generator, device=device) < epsilon.to(device)).to(greedy.device)
-        drawn = torch.randint(self._action_count, shape, generator=self._generator, device=device).to(greedy.device)
+        draw = {"generator": self._generator, "device": greedy.device}
+        exploratory = torch.rand(greedy.shape, **draw) < epsilon
+        drawn = torch.randint(self._action_count, greedy.shape, **draw)
         tensordict["action"] = torch.where(exploratory, drawn, greedy)
         tensordict["epsilon"] = epsilon.clone()
         tensordict["exploratory"] = exploratory

@@ -9,11 +9,11 @@ from carrl.errors import CarrlError
 VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
+    "report": "compare runs: a table, and their learning curves in one picture",
     "log": "look into a run's MCAP log",
 }
-USAGE = "\n".join(
-    ["usage: carrl VERB ...", "", *(f"  {verb:<10}{what}" for verb, what in VERBS.items()), "", "carrl VERB --help tells more."]
-)
+_VERB_LINES = "\n".join(f"  {verb:<10}{what}" for verb, what in VERBS.items())
+USAGE = f"usage: carrl VERB ...\n\n{_VERB_LINES}\n\ncarrl VERB --help tells more."
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -44,6 +44,8 @@ def main(argv: list[str]) -> int:
         hydra.main(version_base="1.3", config_path=str(config_dir()), config_name="train")(job)()
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(" ".join(str(error).split())) from error
+    except OSError as error:
+        raise CarrlError(f"the run's folder '{error.filename}' cannot be written: {error.strerror}") from error
     if failures:
         raise CarrlError("; ".join(dict.fromkeys(map(str, failures))))
     return 0
@@ -61,6 +63,8 @@ def _name_track_file(argument: str) -> list[str]:
 def _train(config: DictConfig) -> None:
     torchrl_logger.setLevel("WARNING")
     values: dict[str, Any] = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
+    if not isinstance(values["threads"], int) or values["threads"] < 1:
+        raise ConfigError(f"threads is {values['threads']}; it must be a whole number of at least 1")
     torch.set_num_threads(values["threads"])
     path = Path(HydraConfig.get().runtime.output_dir)
     pipeline = build_pipeline(values)

@@ -170,6 +170,4 @@ class TrackEnv(EnvBase):
         self.action_spec = Categorical(len(Action), shape=(cars,), dtype=torch.int64, **options)
         self.reward_spec = Unbounded((cars, 1), dtype=torch.float32, **options)
         flag = Binary(1, shape=(cars, 1), dtype=torch.bool, **options)
-        self.done_spec = Composite(
-            done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options
-        )
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options)

@@ -103,8 +103,12 @@ def build_pipeline(config: Config) -> Pipeline:
 
 def build_world(config: Config) -> World:
     """Builds the track, car, sensors and reward that a run was, or will be, trained with."""
-    parts = {name: build_node(name, config[name]) for name in ("track", "vehicle", "sensor", "reward")}
-    return World(**parts)
+    return World(
+        track=build_node("track", config["track"]),
+        vehicle=build_node("vehicle", config["vehicle"]),
+        sensor=build_node("sensor", config["sensor"]),
+        reward=build_node("reward", config["reward"]),
+    )
 
 
 def build_network(config: Config, generator: torch.Generator | None = None) -> QValueActor:

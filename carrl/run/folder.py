@@ -1,12 +1,12 @@
 """A run's folder: what is in it, written and read in one place.
 
-    .hydra/config.yaml    the resolved configuration
-    train.mcap            every transition
-    checkpoints/          best.pt and last.pt
-    metrics.csv           a row for each ended episode
-    evaluations.csv       a row for each greedy drive during training
-    summary.json          the run in a few figures
-    learning_curve.png, lap.png
+.hydra/config.yaml    the resolved configuration
+train.mcap            every transition
+checkpoints/          best.pt and last.pt
+metrics.csv           a row for each ended episode
+evaluations.csv       a row for each greedy drive during training
+summary.json          the run in a few figures
+learning_curve.png, lap.png
 """
 
 import csv
@@ -23,9 +23,10 @@ from tensordict import TensorDictBase
 
 from carrl.errors import CarrlError, CheckpointError
 from carrl.record.writer import TransitionWriter
+from carrl.run.build import build_network
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.episodes import Episode
-from carrl.run.evaluation import Drive
+from carrl.run.evaluation import Drive, Policy, greedy_policy
 
 CONFIG = Path(".hydra/config.yaml")
 LOG = "train.mcap"
@@ -34,6 +35,7 @@ EVALUATIONS = "evaluations.csv"
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 LAP = "lap.png"
+_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "network", "seed")
 MAX_TEXT_BYTES = 64 * 2**20
 
 
@@ -102,29 +104,38 @@ def checkpoint_path(run: Path, name: str) -> Path:
     return run / "checkpoints" / f"{name}.pt"
 
 
-def read_config(run: Path) -> dict[str, Any]:
+def load_config(run: Path) -> dict[str, Any]:
     """The resolved configuration of a run, as plain values.
 
     Raises:
-        CheckpointError: this is no run's folder.
+        CheckpointError: this is no run's folder, or its configuration is damaged.
     """
     if not run.is_dir():
-        raise CheckpointError(f"run '{run}' is not a folder; name the folder of a run, such as outputs/2026-01-31/12-00-00")
+        raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
     try:
         config = yaml.safe_load(read_text(run / CONFIG))
     except yaml.YAMLError as error:
         raise CheckpointError(f"run '{run}': {CONFIG} is not YAML") from error
-    if not isinstance(config, dict):
-        raise CheckpointError(f"run '{run}': {CONFIG} holds no configuration")
+    missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
+    if missing:
+        raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
     return config
 
 
-def read_policy(run: Path, name: str = "best") -> dict[str, Any]:
-    """The state of a run's network."""
-    state = load_checkpoint(checkpoint_path(run, name)).get("network")
-    if not isinstance(state, dict):
-        raise CheckpointError(f"checkpoint '{checkpoint_path(run, name)}' holds no network")
-    return state
+def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:
+    """The greedy policy of a run's `best` or `last` network.
+
+    Raises:
+        CheckpointError: the checkpoint is missing, damaged, or of another network than the configuration's.
+    """
+    path = checkpoint_path(run, checkpoint)
+    state = load_checkpoint(path).get("network")
+    network = build_network(config)
+    try:
+        network.load_state_dict(state)
+    except (RuntimeError, TypeError, AttributeError) as error:
+        raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}") from error
+    return greedy_policy(network)
 
 
 def read_text(path: Path) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 
 import torch
 from torch import Tensor
@@ -22,15 +21,15 @@ class Sensor:
 
     rays: int = 7
     field_of_view: float = 180.0
-    max_range: float = 20.0
+    max_range: float = 10.0
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a fan that cannot be built."""
         if not (isinstance(self.rays, int) and self.rays >= 1):
             raise ConfigError(f"sensor.rays is {self.rays}; it must be a whole number of at least 1")
-        if not (isinstance(self.field_of_view, Real) and 0 < self.field_of_view < 360):
+        if not (isinstance(self.field_of_view, int | float) and 0 < self.field_of_view < 360):
             raise ConfigError(f"sensor.field_of_view is {self.field_of_view}; it must lie between 0 and 360 degrees")
-        if not (isinstance(self.max_range, Real) and math.isfinite(self.max_range) and self.max_range > 0):
+        if not (isinstance(self.max_range, int | float) and math.isfinite(self.max_range) and self.max_range > 0):
             raise ConfigError(f"sensor.max_range is {self.max_range}; it must be a positive number of metres")
 
     @property

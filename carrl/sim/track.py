@@ -7,7 +7,6 @@ counter-clockwise from +x. A *station* is a distance along the centreline from t
 import os
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +59,8 @@ class Track:
             TrackError: there is no such track, or the file does not describe one.
         """
         name = str(name_or_path)
-        if gate_spacing is not None and not (isinstance(gate_spacing, Real) and gate_spacing >= MIN_GATE_SPACING):
+        is_number = isinstance(gate_spacing, int | float)
+        if gate_spacing is not None and not (is_number and gate_spacing >= MIN_GATE_SPACING):
             raise TrackError(
                 f"track '{name}': gate_spacing is {gate_spacing}; it must be a number of at least {MIN_GATE_SPACING} m"
             )

@@ -6,7 +6,6 @@ Shapes: `B` cars. Lengths are in metres, angles in radians counter-clockwise fro
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from numbers import Real
 
 import torch
 from torch import Tensor
@@ -41,7 +40,7 @@ class Vehicle:
     def __post_init__(self) -> None:
         """Raises ConfigError unless every value is a positive number."""
         for name, value in vars(self).items():
-            if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
                 raise ConfigError(f"vehicle.{name} is {value}; it must be a positive number")
 
     @property

@@ -1,6 +1,6 @@
 """A close-up of one place of a long circuit, in a free corner of its map, where the road is too thin to show a car.
 
-Shapes: `P` points of the centreline, `K` candidate places.
+Shapes: `K` places that may be enlarged.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ from matplotlib.patches import Rectangle
 
 from carrl.sim.track import Track
 from carrl.view.figure import FAINT
-from carrl.view.track_map import Floats, TrackMap, draw_gates, draw_road
+from carrl.view.track_map import Floats, TrackMap, draw_gates, draw_road, write
 
 LEGIBLE = 1.5
 """A map with at least so many points per metre needs no close-up."""
@@ -18,13 +18,14 @@ LARGEST, SMALLEST = 165.0, 80.0
 """Side of a close-up on the paper, points: at most, and what it must have to be worth drawing."""
 
 
-def draw_close_up(track_map: TrackMap, track: Track, centre: Floats) -> TrackMap | None:
-    """A second map inside the first, of the surroundings of the centre [2], m; None if not needed or without room."""
-    if track_map.scale >= LEGIBLE:
+def draw_close_up(track_map: TrackMap, track: Track, places: Floats) -> TrackMap | None:
+    """A second map inside the first, of the surroundings of one of the places [K, 2]; None if needless or no room."""
+    if track_map.scale >= LEGIBLE or len(places) == 0:
         return None
-    middle, side = _free_square(track_map, track)
+    middle, side = _free_square(track_map, track, places)
     if side * track_map.scale < SMALLEST:
         return None
+    centre = places[np.linalg.norm(places - middle, axis=1).argmin()]
     corner = middle - side / 2
     axes = track_map.axes.inset_axes((corner[0], corner[1], side, side), transform=track_map.axes.transData, zorder=10)
     axes.set(xlim=(centre[0] - RADIUS, centre[0] + RADIUS), ylim=(centre[1] - RADIUS, centre[1] + RADIUS))
@@ -33,12 +34,13 @@ def draw_close_up(track_map: TrackMap, track: Track, centre: Floats) -> TrackMap
     close_up = TrackMap(track_map.figure, axes, scale=side * track_map.scale / (2 * RADIUS))
     draw_road(close_up, track)
     draw_gates(close_up, track)
+    write(axes, centre - (0, RADIUS + 8 / close_up.scale), f"close-up, {2 * RADIUS:g} m wide")
     _draw_frame(track_map, centre, middle, side)
     return close_up
 
 
-def _free_square(track_map: TrackMap, track: Track) -> tuple[Floats, float]:
-    """Middle [2] and side, m, of the largest square that keeps clear of the road, its labels and the edges."""
+def _free_square(track_map: TrackMap, track: Track, places: Floats) -> tuple[Floats, float]:
+    """Middle [2] and side, m, of a square clear of road, labels and edges; of the large ones, nearest to a place."""
     left, bottom, right, top = track_map.frame
     grid = np.meshgrid(np.linspace(left, right, 60), np.linspace(bottom, top, 60))
     candidates = np.stack([axis.ravel() for axis in grid], axis=-1)
@@ -47,9 +49,10 @@ def _free_square(track_map: TrackMap, track: Track) -> tuple[Floats, float]:
     # The Chebyshev distance: half the side of the largest square around a candidate that the road does not enter.
     room = np.abs(candidates[:, None] - road).max(axis=-1).min(axis=1) - labels
     edges = np.concatenate([candidates - (left, bottom), (right, top) - candidates], axis=1).min(axis=1)
-    half_side = np.minimum(room, edges)
-    best = half_side.argmax()
-    return candidates[best], min(2 * float(half_side[best]), LARGEST / track_map.scale)
+    side = np.minimum(2 * np.minimum(room, edges), LARGEST / track_map.scale)
+    distance = np.linalg.norm(candidates[:, None] - places, axis=-1).min(axis=1)
+    best = np.where(side >= 0.95 * side.max(), distance, np.inf).argmin()
+    return candidates[best], float(side[best])
 
 
 def _draw_frame(track_map: TrackMap, centre: Floats, middle: Floats, side: float) -> None:

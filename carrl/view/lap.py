@@ -5,7 +5,6 @@ Shapes: `T` time steps, `R` rays. Lengths are in metres, angles in radians count
 Source: the paper's figure 2 (the track, the car, the gates; the green lines are its sensors).
 """
 
-import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,8 +23,10 @@ from carrl.view.figure import BLACK, BLUE, GREEN, INK, VERMILLION, YELLOW, save_
 from carrl.view.track_map import Floats, TrackMap, draw_track_map
 
 ACTION_COLOURS = {Action.FORWARD: BLACK, Action.LEFT: VERMILLION, Action.RIGHT: BLUE}
-PLACES = 6
+MOST_CARS = 6
 """At how many places along the drive the car is drawn."""
+LEAST_GAP = 70.0
+"""How far apart these places are at least, along the drive, points."""
 TOUCH = 0.05
 """A ray that ends within this distance of a wall ends at it, m."""
 FINEST = 2.0
@@ -57,8 +58,9 @@ def draw_lap(
         title: one line above the map.
         collided: whether the drive ended at a wall; its end is then a cross instead of a ring.
     """
-    track_map, steps = draw_track_map(track, title), _spread(len(ranges))
-    close_up = draw_close_up(track_map, track, poses[steps[0], :2]) if steps else None
+    track_map = draw_track_map(track, title)
+    steps = _steps_shown(poses[: len(ranges), :2], track_map.scale)
+    close_up = draw_close_up(track_map, track, poses[steps, :2])
     for view in filter(None, (track_map, close_up)):
         _draw_line(view, poses[:, :2], actions)
         for step in steps:
@@ -90,9 +92,16 @@ def prevailing_actions(actions: NDArray[np.integer], block: int) -> NDArray[np.i
     return np.repeat(prevailing, block)[: len(actions)]
 
 
-def _spread(steps: int) -> list[int]:
-    """At most PLACES steps, evenly spread and away from both ends."""
-    return sorted({int((place + 0.5) * steps / PLACES) for place in range(PLACES)}) if steps else []
+def _steps_shown(positions: Floats, scale: float) -> list[int]:
+    """Steps of a drive [T, 2] at which to draw the car: evenly spread, away from both ends, not crowded."""
+    steps = len(positions)
+    cars = min(MOST_CARS, steps, max(1, int(_length(positions) * scale / LEAST_GAP)))
+    return [int((car + 0.5) * steps / cars) for car in range(cars)]
+
+
+def _length(positions: Floats) -> float:
+    """Length of the way along the positions [T, 2], m."""
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
 def _draw_line(track_map: TrackMap, positions: Floats, actions: NDArray[np.integer]) -> None:
@@ -101,8 +110,8 @@ def _draw_line(track_map: TrackMap, positions: Floats, actions: NDArray[np.integ
     Steps too short to see would blend into grey; there, each stretch of FINEST shows its prevailing action.
     """
     actions = actions[: max(0, len(positions) - 1)]
-    driven = np.linalg.norm(np.diff(positions, axis=0), axis=1).sum() * track_map.scale
-    actions = prevailing_actions(actions, math.ceil(FINEST * len(actions) / max(driven, FINEST)))
+    points = max(_length(positions) * track_map.scale, FINEST)
+    actions = prevailing_actions(actions, max(1, round(FINEST * len(actions) / points)))
     stretches = same_action_stretches(actions)
     lines = [positions[begin : end + 1] for begin, end in stretches]
     colours = [ACTION_COLOURS[Action(actions[begin])] for begin, _ in stretches]

@@ -5,6 +5,7 @@ points (1/72 inch). Tracks of 100 m and of 7 km are drawn alike: widths and offs
 """
 
 import math
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, PathPatch
 from matplotlib.path import Path as Outline
+from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
 from carrl.sim.track import Track
@@ -63,18 +65,9 @@ def draw_track_map(track: Track, title: str) -> TrackMap:
     draw_gates(track_map, track)
     _number_gates(track_map, track, covered=_draw_start(track_map, track))
     _draw_scale_bar(track_map)
-    axes.annotate(
-        title,
-        (0.5, 1),
-        (0, -8),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        fontsize=10.5,
-        color=INK,
-        parse_math=False,
-    )
+    heading = textwrap.fill(title, 100, max_lines=2, placeholder="...")
+    top = (sum(axes.get_xlim()) / 2, axes.get_ylim()[1] - 8 / track_map.scale)
+    axes.text(*top, heading, ha="center", va="top", fontsize=10.5, color=INK, parse_math=False, zorder=9)
     return track_map
 
 
@@ -118,11 +111,12 @@ def _draw_start(track_map: TrackMap, track: Track) -> Floats:
     axes.plot(*line.T, color=GATE, linewidth=width, linestyle=(0, (1.2, 1.2)), dash_capstyle="butt", zorder=3.6)
     across = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
     forward = np.array([-across[1], across[0]]) / track_map.scale
-    # Written before the arrow: "start" is wider than it is high.
-    behind = 6 + 9 * abs(forward[0]) * track_map.scale
-    sides = [np.stack([side - behind * forward, side, side + 26 * forward]) for side in _beside(track_map, line)]
+    # The word stands before the arrow; it is wider than high, so it needs more room where it meets something sideways.
+    behind, aside = 6 + 9 * abs(across[1]), 9 + 5 * abs(across[0])
+    places = _beside(track_map, line, aside)
+    sides = [np.stack([place - behind * forward, place, place + 26 * forward]) for place in places]
     word, tail, head = covered = max(sides, key=lambda places: _room(track, places))
-    _write(axes, word, "start")
+    write(axes, word, "start")
     axes.add_patch(
         FancyArrowPatch(
             tuple(tail),
@@ -146,7 +140,7 @@ def _number_gates(track_map: TrackMap, track: Track, covered: Floats) -> None:
     for index in range(every - 1, len(gates) - 1, every):
         place = max(_beside(track_map, gates[index]), key=lambda place: _room(track, place[None]))
         if np.linalg.norm(covered - place, axis=1).min() * track_map.scale > 20:
-            _write(track_map.axes, place, str(index + 1))
+            write(track_map.axes, place, str(index + 1))
             covered = np.vstack([covered, place])
 
 
@@ -159,7 +153,7 @@ def _draw_scale_bar(track_map: TrackMap) -> None:
     x = [left, left, left, left + length, left + length, left + length]
     y = [bottom + tick, bottom - tick, bottom, bottom, bottom - tick, bottom + tick]
     track_map.axes.plot(x, y, color=INK, linewidth=1, zorder=8)
-    _write(track_map.axes, np.array([left + length / 2, bottom + 8 / track_map.scale]), f"{length:,g} m")
+    write(track_map.axes, np.array([left + length / 2, bottom + 8 / track_map.scale]), f"{length:,g} m")
 
 
 def round_number(least: float) -> float:
@@ -168,10 +162,10 @@ def round_number(least: float) -> float:
     return next(digit * power for digit in (1, 2, 5, 10) if digit * power >= least)
 
 
-def _beside(track_map: TrackMap, gate: Floats) -> tuple[Floats, Floats]:
-    """Places for a label just outside both ends of a gate, [2, 2]: two points [2]."""
-    outwards = (gate[0] - gate[1]) / np.linalg.norm(gate[0] - gate[1])
-    return gate[0] + outwards * 9 / track_map.scale, gate[1] - outwards * 9 / track_map.scale
+def _beside(track_map: TrackMap, gate: Floats, distance: float = 9.0) -> tuple[Floats, Floats]:
+    """Places for a label outside both ends of a gate, [2, 2], at a distance in points: two points [2], m."""
+    outwards = (gate[0] - gate[1]) / np.linalg.norm(gate[0] - gate[1]) * distance / track_map.scale
+    return gate[0] + outwards, gate[1] - outwards
 
 
 def _room(track: Track, places: Floats) -> float:
@@ -179,5 +173,8 @@ def _room(track: Track, places: Floats) -> float:
     return float(np.linalg.norm(track.centreline.numpy()[:, None] - places, axis=-1).min())
 
 
-def _write(axes: Axes, place: Floats, text: str) -> None:
-    axes.text(place[0], place[1], text, ha="center", va="center", fontsize=8, color=INK, zorder=8)
+def write(axes: Axes, place: Floats, text: str) -> None:
+    """A small label about a place [2], m, with a white rim to stand out on lines."""
+    rim = [Stroke(linewidth=2.5, foreground="white"), Normal()]
+    label = axes.text(place[0], place[1], text, ha="center", va="center", fontsize=8, color=INK, zorder=9)
+    label.set_path_effects(rim)

@@ -7,8 +7,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference.scalar_rays import ray_distance
-from shapes import as_floats, random_poses, random_track, square_room
 
 from carrl.errors import ConfigError
 from carrl.sim.geometry import ray_distances
@@ -16,6 +14,8 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
+from tests.reference.scalar_rays import ray_distance
+from tests.sim.shapes import as_floats, random_poses, random_track, square_room
 
 exactly = settings(derandomize=True, deadline=None, max_examples=60)
 coordinates = st.floats(-9.5, 9.5, width=32)

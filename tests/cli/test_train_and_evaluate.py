@@ -1,0 +1,188 @@
+"""`carrl train`, `evaluate` and `report` as typed."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+from carrl.cli.main import main
+from carrl.log import load, read_attachment, read_summary
+
+TINY = ["track=oval", "trainer.frames=320", "evaluation.interval=160", "replay_buffer.batch_size=16"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of a short run."""
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    assert main(["train", *TINY, "seed=5", f"hydra.run.dir={folder}"]) == 0
+    return folder
+
+
+def test_a_run_leaves_its_results_in_one_folder(run):
+    assert {path.name for path in run.iterdir()} == {
+        ".hydra",
+        "checkpoints",
+        "evaluations.csv",
+        "lap.png",
+        "learning_curve.png",
+        "metrics.csv",
+        "summary.json",
+        "train.mcap",
+    }
+    assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.pt", "last.pt"}
+
+
+def test_the_summary_has_the_documented_keys(run):
+    summary = json.loads((run / "summary.json").read_text())
+    assert {"episodes", "frames", "updates", "wall_time_s", "first_lap", "evaluation"} <= summary.keys()
+    assert set(summary["evaluation"]) == {
+        "lap_completed",
+        "lap_reward",
+        "lap_steps",
+        "forward_share",
+        "switches_per_100m",
+        "near_wall_share",
+        "progress",
+    }
+    assert (summary["frames"], summary["updates"], summary["seed"]) == (320, 320 - 8, 5)
+    with (run / "metrics.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == summary["episodes"]
+
+
+def test_the_log_holds_the_run_its_config_and_its_track(run):
+    assert len(load(run / "train.mcap")) == 320
+    summary = read_summary(run / "train.mcap")
+    assert summary.metadata["seed"] == "5"
+    config = yaml.safe_load(read_attachment(run / "train.mcap", "config.yaml"))
+    assert config["trainer"]["frames"] == 320
+    track = json.loads(read_attachment(run / "train.mcap", "track.json"))
+    assert (track["name"], len(track["gates"])) == ("oval", 8)
+
+
+def test_training_again_with_the_same_seed_gives_the_same_log(run, tmp_path):
+    assert main(["train", *TINY, "seed=5", f"hydra.run.dir={tmp_path}"]) == 0
+    assert (load(run / "train.mcap") == load(tmp_path / "train.mcap")).all()
+
+
+def test_a_sweep_leaves_a_folder_for_each_run(tmp_path):
+    overrides = ["track=oval", "trainer.frames=16", "loss=dqn,double_dqn", f"hydra.sweep.dir={tmp_path}"]
+    assert main(["train", "-m", *overrides]) == 0
+    summaries = sorted(path.parent.name for path in tmp_path.rglob("summary.json"))
+    assert len(summaries) == 2
+    assert ["loss=double_dqn" in name for name in summaries] == [True, False]
+
+
+def test_without_a_recorder_there_is_no_log(tmp_path):
+    assert main(["train", *TINY, "trainer.frames=16", "recorder=none", f"hydra.run.dir={tmp_path}"]) == 0
+    assert not (tmp_path / "train.mcap").exists()
+    assert (tmp_path / "summary.json").exists()
+
+
+def test_a_track_file_trains_by_its_path(real_circuits, tmp_path, monkeypatch):
+    folder = tmp_path / "a run's folder"
+    (tmp_path / "my track.csv").write_text((real_circuits / "Norisring.csv").read_text())
+    monkeypatch.chdir(tmp_path)
+    override = "hydra.run.dir='" + str(folder).replace("'", "\\'") + "'"
+    assert main(["train", "track=my track.csv", "trainer.frames=16", override]) == 0
+    assert json.loads((folder / "summary.json").read_text())["track"] == "my track.csv"
+
+
+def test_evaluate_prints_one_json_document(run, capsys):
+    assert main(["evaluate", str(run), "--track", "oval", "--track", "paper", "--starts", "3", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [track["track"] for track in document["tracks"]] == ["oval", "paper"]
+    oval = document["tracks"][0]
+    assert oval["starts"] == len(oval["drives"]) == 3
+    assert 0 <= oval["progress"] <= 1
+    assert oval["laps_completed"] == sum(drive["lap_completed"] for drive in oval["drives"])
+
+
+def test_evaluate_drives_the_training_track_with_the_best_network(run, capsys):
+    assert main(["evaluate", str(run), "--json"]) == 0
+    (track,) = json.loads(capsys.readouterr().out)["tracks"]
+    best = json.loads((run / "summary.json").read_text())["evaluation"]
+    assert {key: track["drives"][0][key] for key in best} == best
+
+
+def test_the_rule_laps_where_the_untrained_network_does_not(run, capsys):
+    assert main(["evaluate", str(run), "--policy", "rule", "--starts", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tracks"][0]["laps_completed"] == 2
+
+
+def test_evaluate_prints_a_table(run, capsys):
+    assert main(["evaluate", str(run), "--policy", "random"]) == 0
+    assert "near-wall" in capsys.readouterr().out
+
+
+def test_report_lines_up_finished_and_unfinished_runs(run, tmp_path, capsys):
+    (tmp_path / "broken" / ".hydra").mkdir(parents=True)
+    (tmp_path / "broken" / ".hydra" / "config.yaml").write_text("{}")
+    assert main(["report", str(run), str(tmp_path), "--curves", str(tmp_path / "curves.png")]) == 0
+    table = capsys.readouterr().out
+    assert "| tiny | " in table
+    assert "| broken | 0 | unfinished |" in table
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+BAD_INPUT = [
+    (["train", "sedd=1"], "sedd"),
+    (["train", "loss=none"], "Available options in 'loss'"),
+    (["train", "track=nowhere.csv"], "no file of this path"),
+    (["train", "vehicle.speed=-3"], "vehicle.speed is -3"),
+    (["train", "optimizer.lr=-1"], "optimizer: Invalid learning rate"),
+    (["train", "optimizer.lr=fast"], "optimizer"),
+    (["train", "env.num_envs=0"], "env.num_envs is 0"),
+    (["train", "threads=0"], "threads is 0"),
+    (["train", "device=abacus"], "device is 'abacus'"),
+    (["train", "seed=x"], "seed is 'x'"),
+    (["evaluate", "nothing"], "is not a folder"),
+    (["report", "nothing"], "no run in 'nothing'"),
+    (["fly"], "no verb 'fly'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT, ids=[" ".join(arguments) for arguments, _ in BAD_INPUT])
+def test_bad_input_is_one_sentence_and_exit_code_2(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    output = capsys.readouterr()
+    assert message in output.err
+    assert output.err.count("\n") == 1
+    assert output.out == ""
+
+
+def test_evaluating_on_a_bad_track_is_refused(run, tmp_path, capsys):
+    (tmp_path / "bad.csv").write_text("# x_m,y_m\n1,2\n")
+    assert main(["evaluate", str(run), "--track", str(tmp_path / "bad.csv")]) == 2
+    assert "no column w_tr_right_m, w_tr_left_m" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["train", "trainer.frames=16", f"hydra.run.dir={tmp_path}/file/run"]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_saves_everything(number, tmp_path):
+    command = [sys.executable, "-m", "carrl.cli.main", "train", "track=oval", f"hydra.run.dir={tmp_path}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ)
+    deadline = time.monotonic() + 60
+    metrics = tmp_path / "metrics.csv"
+    while not (metrics.exists() and metrics.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors.decode()
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert len(load(tmp_path / "train.mcap")) == summary["frames"] > 0
+    assert (tmp_path / "checkpoints" / "last.pt").exists()
+    assert (tmp_path / "lap.png").exists()
+    assert "results in" in output.decode()

@@ -1,0 +1,82 @@
+"""Collector and replay buffer."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from carrl.data.collector import make_collector
+from carrl.data.replay_buffer import KEYS, make_replay_buffer
+from carrl.env.track_env import TrackEnv
+from carrl.errors import ConfigError
+
+
+def numbered_transitions(first, count):
+    numbers = torch.arange(first, first + count)
+    flag = torch.zeros(count, 1, dtype=torch.bool)
+    values = {
+        "observation": numbers[:, None].float(),
+        "action": numbers,
+        "next": {"observation": numbers[:, None].float() + 1, "reward": numbers[:, None] * 10.0},
+    }
+    values["next"] |= {"done": flag, "terminated": flag.clone()}
+    return TensorDict(values, batch_size=[count])
+
+
+def make_buffer(capacity=8, batch_size=4, seed=0):
+    return make_replay_buffer(capacity, batch_size, device="cpu", generator=torch.Generator().manual_seed(seed))
+
+
+def test_the_buffer_keeps_the_latest_transitions_and_drops_the_oldest():
+    buffer = make_buffer(capacity=8)
+    for first in range(0, 12, 3):
+        buffer.extend(numbered_transitions(first, 3))
+    assert sorted(buffer[:]["action"].tolist()) == list(range(4, 12))
+
+
+def test_sampled_transitions_stay_whole():
+    buffer = make_buffer(capacity=100, batch_size=64)
+    buffer.extend(numbered_transitions(0, 100))
+    sample = buffer.sample()
+    assert torch.equal(sample["next", "reward"][:, 0], sample["action"] * 10.0)
+    assert torch.equal(sample["next", "observation"], sample["observation"] + 1)
+
+
+def test_sampling_follows_the_buffers_own_generator():
+    def draw(seed):
+        buffer = make_buffer(capacity=1000, batch_size=32, seed=seed)
+        buffer.extend(numbered_transitions(0, 1000))
+        return buffer.sample()["action"]
+
+    first = draw(1)
+    torch.rand(7)
+    assert torch.equal(first, draw(1))
+    assert not torch.equal(first, draw(2))
+
+
+def test_a_batch_larger_than_the_memory_is_refused():
+    with pytest.raises(ConfigError, match="batch_size is 9 and capacity is 8"):
+        make_buffer(batch_size=9)
+
+
+def test_collected_steps_continue_across_batches_and_episodes():
+    env = TrackEnv(num_envs=2, max_steps=7)
+
+    def forward(state):
+        return state.set("action", torch.zeros(2, dtype=torch.int64))
+
+    collector = make_collector(3, env=env, policy=forward)
+    steps, truncated = [], []
+    for _, batch in zip(range(5), collector, strict=False):
+        assert batch.batch_size == (2, 3)
+        assert set(KEYS) <= set(batch.keys(include_nested=True))
+        steps += batch["step"][0].tolist()
+        truncated += batch["next", "truncated"][0, :, 0].tolist()
+        assert torch.equal(batch["next", "step"], batch["step"] + 1)  # not the restart's
+    collector.shutdown()
+    assert steps == [*range(7), *range(7), 0]
+    assert [index for index, cut in enumerate(truncated) if cut] == [6, 13]
+
+
+def test_an_empty_batch_of_steps_is_refused():
+    with pytest.raises(ConfigError, match="steps_per_batch is 0"):
+        make_collector(0, env=TrackEnv(), policy=lambda state: state)

@@ -1,0 +1,57 @@
+"""The account of episodes."""
+
+import torch
+from tensordict import TensorDict
+
+from carrl.run.episodes import EpisodeTracker
+
+
+def batch(rewards, done, gates=None, steps=None):
+    """Transitions of N cars and T steps from nested lists [N][T]; every end is a collision."""
+    rewards, done = torch.tensor(rewards), torch.tensor(done)
+    zeros = torch.zeros(rewards.shape, dtype=torch.int64)
+    after = {
+        "reward": rewards[..., None].float(),
+        "done": done[..., None],
+        "terminated": done[..., None],
+        "gates_passed": zeros if gates is None else torch.tensor(gates),
+        "step": zeros if steps is None else torch.tensor(steps),
+    }
+    return TensorDict({"next": TensorDict(after, rewards.shape)}, rewards.shape)
+
+
+def test_episodes_are_numbered_by_when_they_begin():
+    tracker = EpisodeTracker(2, gates_per_lap=8)
+    first = batch([[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]])
+    tracker.follow(first)
+    assert first["episode"].tolist() == [[0, 0, 2], [1, 1, 1]]
+    assert first["env"].tolist() == [[0, 0, 0], [1, 1, 1]]
+    second = batch([[4], [40]], [[False], [False]])
+    tracker.follow(second)
+    assert second["episode"].tolist() == [[2], [3]]
+
+
+def test_returns_sum_up_across_batches_and_begin_anew_after_an_end():
+    tracker = EpisodeTracker(2, gates_per_lap=8)
+    ended = tracker.follow(batch([[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]]))
+    ended += tracker.follow(batch([[4], [40]], [[True], [True]]))
+    assert [(e.episode, e.env, e.episode_return, e.frame) for e in ended] == [
+        (0, 0, 3.0, 4),
+        (1, 1, 60.0, 6),
+        (2, 0, 7.0, 8),
+        (3, 1, 40.0, 8),
+    ]
+    assert tracker.frames == 8
+
+
+def test_laps_are_whole_rounds_of_gates():
+    tracker = EpisodeTracker(1, gates_per_lap=8)
+    (episode,) = tracker.follow(batch([[0.0]], [[True]], gates=[[17]], steps=[[345]]))
+    assert (episode.gates, episode.laps, episode.length, episode.ended) == (17, 2, 345, "collision")
+
+
+def test_an_episode_that_is_cut_ended_by_the_time_limit():
+    step = batch([[0.0]], [[True]])
+    step["next", "terminated"] = torch.zeros(1, 1, 1, dtype=torch.bool)
+    (episode,) = EpisodeTracker(1, gates_per_lap=8).follow(step)
+    assert episode.ended == "time limit"

@@ -1,0 +1,101 @@
+"""Driving without exploration, and the measures of it."""
+
+import pytest
+import torch
+
+from carrl.env.reward import Reward
+from carrl.env.track_env import TrackEnv
+from carrl.errors import ConfigError
+from carrl.run.evaluation import drive, random_policy, rule_policy
+from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import Simulator
+from carrl.sim.track import Track
+from carrl.sim.vehicle import Vehicle
+
+
+def make_simulator(track="paper", **vehicle):
+    return Simulator(Track.load(track), Vehicle(**vehicle), Sensor(max_range=10.0))
+
+
+def forward_policy(observation):
+    return torch.zeros(len(observation), dtype=torch.int64)
+
+
+def zig_zag_policy():
+    """Left and right in turn: straight on average."""
+    step = 0
+
+    def act(observation):
+        nonlocal step
+        step += 1
+        return torch.full((len(observation),), 1 + step % 2)
+
+    return act
+
+
+@pytest.mark.parametrize("track", ["oval", "paper", "serpentine"])
+def test_the_rule_laps_every_built_in_track_from_everywhere(track):
+    drives = drive(make_simulator(track), Reward(), rule_policy, starts=4)
+    assert all(attempt.lap_completed and not attempt.collided for attempt in drives)
+    assert all(attempt.progress == 1.0 for attempt in drives)
+
+
+def test_a_clean_lap_earns_50_for_each_gate():
+    (attempt,) = drive(make_simulator("oval"), Reward(), rule_policy)
+    assert attempt.near_wall_share == 0
+    assert attempt.lap_reward == 8 * 50
+
+
+def test_the_measures_agree_with_the_environments_own_rewards():
+    simulator = make_simulator()
+    (attempt,) = drive(simulator, Reward(), rule_policy)
+    env = TrackEnv(sensor=Sensor(max_range=10.0))
+    state = env.reset()
+    total = 0.0
+    for action in attempt.actions:
+        transition, state = env.step_and_maybe_reset(state.set("action", torch.tensor([action])))
+        total += transition["next", "reward"].item()
+    assert attempt.lap_reward == pytest.approx(total)
+    torch.testing.assert_close(torch.from_numpy(attempt.poses[-1]), transition["next", "pose"][0])
+
+
+def test_a_car_that_never_steers_crashes_at_the_first_turn():
+    (attempt,) = drive(make_simulator(), Reward(), forward_policy)
+    assert attempt.collided and not attempt.lap_completed
+    assert attempt.lap_reward <= -200 + 50
+    assert 0.05 < attempt.progress < 0.25
+    assert (attempt.forward_share, attempt.switches_per_100m) == (1.0, 0.0)
+    assert len(attempt.poses) == len(attempt.ranges) == attempt.lap_steps + 1 == len(attempt.actions) + 1
+
+
+def test_zig_zag_is_counted_as_switches():
+    (attempt,) = drive(make_simulator(), Reward(), zig_zag_policy())
+    assert attempt.forward_share == 0
+    steps = attempt.lap_steps
+    assert attempt.switches_per_100m == pytest.approx(100 * (steps - 1) / steps)
+
+
+def test_a_car_that_circles_is_stopped_by_the_time_limit():
+    simulator = make_simulator("oval", turn_radius=2.0)
+    (attempt,) = drive(simulator, Reward(), lambda observation: torch.ones(len(observation), dtype=torch.int64))
+    assert not attempt.collided and not attempt.lap_completed
+    assert attempt.lap_steps == 2 * simulator.lap_steps
+    assert attempt.progress < 0.05
+
+
+def test_cars_driven_together_drive_as_they_would_alone():
+    simulator = make_simulator()
+    together = drive(simulator, Reward(), rule_policy, starts=5)
+    assert [attempt.start for attempt in together] == pytest.approx([k * simulator.track.length / 5 for k in range(5)])
+    (first,) = drive(simulator, Reward(), rule_policy)
+    assert together[0].measures() == first.measures()
+
+
+def test_the_random_policy_repeats_itself_for_the_same_seed():
+    first, second = (drive(make_simulator(), Reward(), random_policy(3))[0] for _ in range(2))
+    assert first.measures() == second.measures()
+
+
+def test_no_start_place_is_refused():
+    with pytest.raises(ConfigError, match="starts is 0"):
+        drive(make_simulator(), Reward(), rule_policy, starts=0)

@@ -1,0 +1,109 @@
+"""Every YAML file is a working choice, explained key by key."""
+
+import ast
+from pathlib import Path
+
+import pytest
+import yaml
+
+from carrl.config import build_node, config_dir
+from carrl.errors import ConfigError
+from carrl.run.build import build_pipeline
+from tests.configs import compose
+
+LEAVES = sorted(
+    str(path.relative_to(config_dir()).with_suffix(""))
+    for path in config_dir().rglob("*.yaml")
+    if path.parent != config_dir() and path.stem != "file"
+)
+
+
+@pytest.mark.parametrize("leaf", LEAVES)
+def test_every_option_of_every_group_builds(leaf):
+    group, option = leaf.split("/")
+    pipeline = build_pipeline(compose(f"{group}={option}"))
+    assert pipeline.env.batch_size[0] >= 1
+    pipeline.collector.shutdown()
+
+
+def test_a_track_file_is_an_option_of_the_track_group(real_circuits):
+    path = real_circuits / "Norisring.csv"
+    pipeline = build_pipeline(compose("track=file", f"track.name_or_path='{path}'"))
+    assert pipeline.world.track.name == "Norisring.csv"
+    pipeline.collector.shutdown()
+
+
+def test_the_default_is_table_i_of_the_paper():
+    config = compose()
+    assert config["network"]["hidden_sizes"] == [16, 16, 8]
+    assert config["sensor"]["rays"] == 7
+    assert config["loss"]["gamma"] == 0.95
+    assert config["loss"]["double_dqn"] is False
+    assert config["loss"]["loss_function"] == "l2"
+    assert config["optimizer"]["lr"] == 1e-3
+    assert config["replay_buffer"]["batch_size"] == 128
+    assert config["replay_buffer"]["capacity"] == 131072
+    assert config["target_updater"]["period"] == 36000
+    exploration = config["exploration"]
+    assert [exploration[key] for key in ("epsilon_max", "epsilon_min", "decay_rate")] == [0.99, 0.01, 1e-4]
+    reward = config["reward"]
+    assert [reward[key] for key in ("collision", "proximity", "gate", "proximity_threshold")] == [-200, -20, 50, 0.1]
+    assert config["trainer"]["episodes"] == 3000
+    assert config == compose("experiment=paper")
+
+
+def test_double_dqn_differs_from_dqn_by_the_loss_alone():
+    dqn, double = compose(), compose("loss=double_dqn")
+    assert double.pop("loss") == dqn.pop("loss") | {"double_dqn": True}
+    assert dqn == double
+    assert build_pipeline(compose("loss=double_dqn")).loss.double_dqn
+
+
+@pytest.mark.parametrize("leaf", LEAVES)
+def test_every_key_has_a_comment_with_its_unit_or_effect(leaf):
+    text = (config_dir() / leaf).with_suffix(".yaml").read_text()
+    if "@package _global_" in text or "defaults:" in text:
+        assert "#" in text or yaml.safe_load(text)
+        return
+    for line in text.splitlines():
+        if line and line[0] not in "#_" and not line.startswith("name_or_path"):
+            assert "  # " in line, f"{leaf}: {line}"
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"max_rang": 3.0}, "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range"),
+        ({"rays": "many"}, "sensor.rays is 'many'; it must be of type int"),
+        ({"rays": 7.0}, "sensor.rays is 7.0; it must be of type int"),
+        ({"rays": True}, "sensor.rays is True; it must be of type int"),
+        ({"max_range": None}, "sensor.max_range is None; it must be of type float"),
+        ({"max_range": -1.0}, "sensor.max_range is -1.0; it must be a positive number of metres"),
+        ({"max_range": float("nan")}, "sensor.max_range is nan; it must be a positive number of metres"),
+    ],
+)
+def test_a_wrong_value_is_one_clear_sentence(values, message):
+    with pytest.raises(ConfigError) as caught:
+        build_node("sensor", {"_target_": "carrl.sim.sensor.Sensor", **values})
+    assert str(caught.value) == message
+
+
+def test_whole_numbers_may_stand_for_floats():
+    assert build_node("sensor", {"_target_": "carrl.sim.sensor.Sensor", "max_range": 5}).max_range == 5
+
+
+ORDER = ["sim", "env", "agent", "data", "record", "run", "view", "cli"]
+
+
+@pytest.mark.parametrize("path", sorted(Path("carrl").rglob("*.py")), ids=str)
+def test_imports_follow_the_flow_of_data(path):
+    if path.parts[1] not in ORDER:
+        pytest.skip("a module beside the layers")
+    layer = ORDER.index(path.parts[1])
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "carrl" and len(parts) > 1 and parts[1] in ORDER:
+                assert ORDER.index(parts[1]) <= layer, f"{path} imports {name}"
