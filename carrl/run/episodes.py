@@ -10,6 +10,9 @@ import torch
 from tensordict import TensorDictBase
 
 
+_KEYS = ("reward", "done", "terminated", "gates_passed", "step")
+
+
 @dataclass(frozen=True)
 class Episode:
     """One episode that has ended.
@@ -47,13 +50,14 @@ class EpisodeTracker:
         self.frames = 0
 
     def follow(self, batch: TensorDictBase) -> list[Episode]:
-        """Adds the keys `episode` and `env` to a batch [N, T], on the CPU, and returns the episodes ended in it."""
+        """Adds the keys `episode` and `env` to a batch [N, T] and returns the episodes ended in it."""
         cars, steps = batch.batch_size
         numbers = torch.empty(cars, steps, dtype=torch.int64)
+        after = batch["next"].select(*_KEYS).cpu()
         ended: list[Episode] = []
         for step in range(steps):
             numbers[:, step] = self._episode
-            ended += self._follow_step(batch[:, step]["next"])
+            ended += self._follow_step(after[:, step])
         batch["episode"] = numbers
         batch["env"] = torch.arange(cars)[:, None].expand(cars, steps)
         return ended

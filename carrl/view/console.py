@@ -1,4 +1,4 @@
-"""What a run shows on the terminal: a progress line, and a table at the end."""
+"""What a run shows on the terminal: its progress, and a table at the end."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,46 +6,50 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from carrl.run.trainer import RECENT_EPISODES, Trainer
 
 
 class TrainingDisplay:
-    """A live progress line for a training run; use it in a `with` statement and call it after every round."""
+    """A live progress bar with figures below it; use it in a `with` statement and call it after every round."""
 
     def __init__(self, frames_limit: int, episodes_limit: int) -> None:
         """Shows nothing before the first round."""
         self._frames_limit, self._episodes_limit = frames_limit, episodes_limit
-        columns = (SpinnerColumn(), BarColumn(bar_width=20), TaskProgressColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, TextColumn("{task.description}"), console=Console(stderr=True))
-        self._task = self._progress.add_task("", total=1.0)
+        self._bar = Progress(SpinnerColumn(), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+        self._task = self._bar.add_task("", total=1.0)
+        self._figures = Text()
+        self._live = Live(Group(self._bar, self._figures), console=Console(stderr=True), refresh_per_second=4)
 
     def __enter__(self) -> Self:
         """Begins to draw."""
-        self._progress.start()
+        self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leaves the last line on the screen."""
-        self._progress.stop()
+        """Leaves the last state on the screen."""
+        self._live.stop()
 
     def __call__(self, trainer: Trainer) -> None:
-        """Moves the line on."""
+        """Moves the bar and the figures on."""
         done = max(trainer.frames / self._frames_limit, trainer.episodes / self._episodes_limit)
-        self._progress.update(self._task, completed=min(done, 1.0), description=_describe(trainer))
+        self._bar.update(self._task, completed=min(done, 1.0))
+        self._figures.plain = _describe(trainer)
 
 
 def _describe(trainer: Trainer) -> str:
     recent = "-" if math.isnan(trainer.recent_return) else f"{trainer.recent_return:.0f}"
     rate = trainer.frames / max(trainer.wall_time_s, 1e-9)
     return (
-        f"{trainer.frames:,} frames · {trainer.episodes:,} episodes · return({RECENT_EPISODES}) {recent} · "
-        f"epsilon {trainer.epsilon:.2f} · {trainer.laps:,} laps · {rate:,.0f} frames/s"
+        f"  {trainer.frames:,} frames · {trainer.episodes:,} episodes · {trainer.laps:,} laps · {rate:,.0f} frames/s\n"
+        f"  return of the last {RECENT_EPISODES} episodes {recent} · epsilon {trainer.epsilon:.2f}"
     )
 
 
