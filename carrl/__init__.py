@@ -4,23 +4,29 @@ import importlib
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
+
 if TYPE_CHECKING:
     from carrl import log
+    from carrl.env.gym_env import GymTrackEnv
     from carrl.env.reward import Reward
     from carrl.env.track_env import TrackEnv
     from carrl.sim.sensor import Sensor
     from carrl.sim.track import Track
     from carrl.sim.vehicle import Action, Vehicle
 
-__all__ = ["Action", "Reward", "Sensor", "Track", "TrackEnv", "Vehicle", "__version__", "log"]
+__all__ = ["Action", "GymTrackEnv", "Reward", "Sensor", "Track", "TrackEnv", "Vehicle", "__version__", "log"]
 
 try:
     __version__ = version("carrl")
 except PackageNotFoundError:  # a checkout on the path that was never installed
     __version__ = "0+unknown"
 
+gymnasium.register("carrl/Track-v0", entry_point="carrl.env.gym_env:GymTrackEnv", max_episode_steps=1000)
+
 _HOMES = {
     "Action": "carrl.sim.vehicle",
+    "GymTrackEnv": "carrl.env.gym_env",
     "Reward": "carrl.env.reward",
     "Sensor": "carrl.sim.sensor",
     "Track": "carrl.sim.track",

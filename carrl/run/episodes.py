@@ -9,7 +9,6 @@ from typing import Literal
 import torch
 from tensordict import TensorDictBase
 
-
 _KEYS = ("reward", "done", "terminated", "gates_passed", "step")
 
 
