@@ -52,12 +52,13 @@ def main(argv: list[str]) -> int:
 
 
 def _name_track_file(argument: str) -> list[str]:
-    """Lets `track=FILE.csv` stand for the track group's option `file`, with the path made absolute."""
+    """Lets `track=FILE` stand for the track group's option `file`, with the path made absolute; FILE,FILE sweeps."""
     key, _, value = argument.partition("=")
-    if key != "track" or not value.lower().endswith(".csv") or "," in value:
+    paths = value.strip("'\"").split(",")
+    if key != "track" or not all("." in path or os.sep in path for path in paths):
         return [argument]
-    path = os.path.abspath(value.strip("'\"")).replace("'", "\\'")
-    return ["track=file", f"track.name_or_path='{path}'"]
+    quoted = ["'" + os.path.abspath(path).replace("'", "\\'") + "'" for path in paths]
+    return ["track=file", f"track.name_or_path={','.join(quoted)}"]
 
 
 def _train(config: DictConfig) -> None:

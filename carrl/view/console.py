@@ -24,7 +24,8 @@ class TrainingDisplay:
         self._bar = Progress(SpinnerColumn(), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
         self._task = self._bar.add_task("", total=1.0)
         self._figures = Text()
-        self._live = Live(Group(self._bar, self._figures), console=Console(stderr=True), refresh_per_second=4)
+        self._console = Console(stderr=True)
+        self._live = Live(Group(self._bar, self._figures), console=self._console, refresh_per_second=4)
 
     def __enter__(self) -> Self:
         """Begins to draw."""
@@ -36,6 +37,8 @@ class TrainingDisplay:
     ) -> None:
         """Leaves the last state on the screen."""
         self._live.stop()
+        if not self._console.is_terminal:  # where rich leaves out the last line's end
+            self._console.print()
 
     def __call__(self, trainer: Trainer) -> None:
         """Moves the bar and the figures on."""
