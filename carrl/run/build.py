@@ -18,7 +18,7 @@ from carrl.config import build_node
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
-from carrl.run.trainer import EvaluationPlan, Limits
+from carrl.run.plan import EvaluationPlan, Limits
 from carrl.sim.sensor import Sensor
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, Vehicle

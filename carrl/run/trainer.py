@@ -8,57 +8,19 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
 
 from carrl.data.replay_buffer import KEYS
-from carrl.errors import CarrlError, ConfigError
+from carrl.errors import CarrlError
+from carrl.run.build import Pipeline
 from carrl.run.episodes import Episode, EpisodeTracker
 from carrl.run.evaluation import Drive, drive, greedy_policy
-
-if TYPE_CHECKING:
-    from carrl.run.build import Pipeline
-    from carrl.run.folder import RunFolder
+from carrl.run.folder import RunFolder
 
 RECENT_EPISODES = 20
 """The paper averages returns over this many episodes (figure 3)."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """When a run ends.
-
-    Attributes:
-        episodes: once this many have ended.
-        frames: once this many env steps are done.
-    """
-
-    episodes: int
-    frames: int
-
-    def __post_init__(self) -> None:
-        """Raises ConfigError unless both allow at least one."""
-        for name, value in vars(self).items():
-            if value < 1:
-                raise ConfigError(f"trainer.{name} is {value}; it must be at least 1")
-
-
-@dataclass(frozen=True)
-class EvaluationPlan:
-    """How often the greedy policy is tried out.
-
-    Attributes:
-        interval: env steps between two greedy drives on the training track.
-    """
-
-    interval: int
-
-    def __post_init__(self) -> None:
-        """Raises ConfigError unless the interval is positive."""
-        if self.interval < 1:
-            raise ConfigError(f"evaluation.interval is {self.interval}; it must be at least 1 env step")
 
 
 @dataclass(frozen=True)
@@ -77,7 +39,7 @@ class Trainer:
     for each env step, once the buffer holds a batch, and the target network follows at env steps C, 2C, 3C.
     """
 
-    def __init__(self, pipeline: "Pipeline", folder: "RunFolder") -> None:
+    def __init__(self, pipeline: Pipeline, folder: RunFolder) -> None:
         """Prepares a run that starts at frame 0."""
         self._pipeline, self._folder = pipeline, folder
         self._tracker = EpisodeTracker(pipeline.env.batch_size[0], pipeline.env.track.gate_count)
