@@ -10,8 +10,8 @@ from carrl.config import config_dir
 
 
 def compose(*overrides: str) -> dict[str, Any]:
-    """The resolved configuration with these overrides, as plain values."""
+    """The resolved configuration with these overrides, as plain values; without compilation unless they ask for it."""
     with initialize_config_dir(str(config_dir()), version_base="1.3"):
-        config = hydra_compose("train", list(overrides))
+        config = hydra_compose("train", ["compile=false", *overrides])
     values: dict[str, Any] = OmegaConf.to_container(config, resolve=True)
     return values

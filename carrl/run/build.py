@@ -18,6 +18,7 @@ from carrl.config import build_node
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
+from carrl.run.learner import Learner
 from carrl.run.plan import EvaluationPlan, Limits
 from carrl.sim.sensor import Sensor
 from carrl.sim.track import Track
@@ -46,7 +47,7 @@ class Pipeline:
     replay_buffer: TensorDictReplayBuffer
     loss: DQNLoss
     target_updater: HardUpdate
-    optimizer: torch.optim.Optimizer
+    learner: Learner
     limits: Limits
     evaluation: EvaluationPlan
 
@@ -86,6 +87,7 @@ def build_pipeline(config: Config) -> Pipeline:
         "replay_buffer", config["replay_buffer"], device=device, generator=generator("replay_buffer")
     )
     loss = build_node("loss", config["loss"], network=network)
+    optimizer = build_node("optimizer", config["optimizer"], params=list(loss.parameters()))
     return Pipeline(
         world=world,
         env=env,
@@ -95,7 +97,7 @@ def build_pipeline(config: Config) -> Pipeline:
         replay_buffer=replay_buffer,
         loss=loss,
         target_updater=build_node("target_updater", config["target_updater"], loss=loss),
-        optimizer=build_node("optimizer", config["optimizer"], params=list(loss.parameters())),
+        learner=Learner(loss, optimizer, replay_buffer, compiled=_checked_flag("compile", config["compile"])),
         limits=build_node("trainer", config["trainer"]),
         evaluation=build_node("evaluation", config["evaluation"]),
     )
@@ -134,6 +136,12 @@ def checked_device(name: str) -> torch.device:
     except (RuntimeError, AssertionError) as error:
         raise ConfigError(f"device is '{name}', which torch cannot use here; set device=cpu") from error
     return device
+
+
+def _checked_flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ConfigError(f"{name} is {value!r}; it must be true or false")
+    return value
 
 
 _RANDOM_PARTS = ("env", "network", "exploration", "replay_buffer")

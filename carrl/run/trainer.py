@@ -119,15 +119,10 @@ class Trainer:
 
     def _update(self) -> None:
         """One gradient step on one sampled batch, once there are enough transitions for it."""
-        buffer, optimizer = self._pipeline.replay_buffer, self._pipeline.optimizer
-        if len(buffer) < buffer.batch_size:
-            return
-        loss = self._pipeline.loss(buffer.sample())["loss"]
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        self._loss = loss.detach()
-        self.updates += 1
+        buffer = self._pipeline.replay_buffer
+        if len(buffer) >= buffer.batch_size:
+            self._loss = self._pipeline.learner.update()
+            self.updates += 1
 
     def _account(self, ended: list[Episode]) -> None:
         if not ended:

@@ -14,7 +14,7 @@ import yaml
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
 
-TINY = ["track=oval", "trainer.frames=320", "evaluation.interval=160", "replay_buffer.batch_size=16"]
+TINY = ["compile=false", "track=oval", "trainer.frames=320", "evaluation.interval=160", "replay_buffer.batch_size=16"]
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +72,8 @@ def test_training_again_with_the_same_seed_gives_the_same_log(run, tmp_path):
 
 
 def test_a_sweep_leaves_a_folder_for_each_run(tmp_path):
-    overrides = ["track=oval", "trainer.frames=16", "loss=dqn,double_dqn", f"hydra.sweep.dir={tmp_path}"]
-    assert main(["train", "-m", *overrides]) == 0
+    overrides = ["compile=false", "track=oval", "trainer.frames=16", f"hydra.sweep.dir={tmp_path}"]
+    assert main(["train", "-m", *overrides, "loss=dqn,double_dqn"]) == 0
     summaries = sorted(path.parent.name for path in tmp_path.rglob("summary.json"))
     assert len(summaries) == 2
     assert ["loss=double_dqn" in name for name in summaries] == [True, False]
@@ -142,6 +142,7 @@ BAD_INPUT = [
     (["train", "optimizer.lr=fast"], "optimizer"),
     (["train", "env.num_envs=0"], "env.num_envs is 0"),
     (["train", "threads=0"], "threads is 0"),
+    (["train", "compile=maybe"], "compile is 'maybe'"),
     (["train", "device=abacus"], "device is 'abacus'"),
     (["train", "seed=x"], "seed is 'x'"),
     (["evaluate", "nothing"], "is not a folder"),
@@ -174,7 +175,8 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_saves_everything(number, tmp_path):
-    command = [sys.executable, "-m", "carrl.cli.main", "train", "track=oval", f"hydra.run.dir={tmp_path}"]
+    overrides = ["track=oval", "compile=false", f"hydra.run.dir={tmp_path}"]
+    command = [sys.executable, "-m", "carrl.cli.main", "train", *overrides]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ)
     deadline = time.monotonic() + 60
     metrics = tmp_path / "metrics.csv"

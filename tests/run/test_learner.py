@@ -1,0 +1,85 @@
+"""Compiled updates against eager ones."""
+
+import logging
+
+import pytest
+import torch
+
+from carrl.data.replay_buffer import KEYS
+from carrl.run.build import build_pipeline
+from carrl.run.learner import Learner
+from carrl.run.native import cache_dir
+from tests.configs import compose
+
+
+def make_pipeline(*overrides):
+    """A pipeline whose buffer holds 800 transitions."""
+    pipeline = build_pipeline(compose("seed=1", "target_updater.period=50", *overrides))
+    for _, batch in zip(range(100), pipeline.collector, strict=False):
+        pipeline.replay_buffer.extend(batch.reshape(-1).select(*KEYS))
+    return pipeline
+
+
+def messages(caplog):
+    """What CarRL itself logged."""
+    return [record.message for record in caplog.records if record.name.startswith("carrl")]
+
+
+def updated(pipeline, count=200):
+    """The losses of this many updates, each followed by the target updater."""
+    losses = []
+    for _ in range(count):
+        losses.append(pipeline.learner.update().item())
+        pipeline.target_updater.step()
+    return losses
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("loss", ["dqn", "double_dqn"])
+def test_200_compiled_updates_equal_200_eager_ones(loss, caplog):
+    eager, compiled = make_pipeline(f"loss={loss}"), make_pipeline(f"loss={loss}", "compile=true")
+    assert updated(compiled) == pytest.approx(updated(eager), rel=1e-5)
+    assert not any("eagerly" in message for message in messages(caplog))
+    for ours, theirs in zip(compiled.network.parameters(), eager.network.parameters(), strict=True):
+        assert ((ours - theirs).norm() / theirs.norm()).item() < 1e-5
+    targets = (pipeline.loss.target_value_network_params for pipeline in (compiled, eager))
+    assert all(torch.allclose(*pair, rtol=1e-5) for pair in zip(*(t.values(True, True) for t in targets), strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_compiled_code_is_kept_between_runs(caplog):
+    caplog.set_level(logging.WARNING)
+    updated(make_pipeline("compile=true"), count=2)
+    caplog.clear()
+    updated(make_pipeline("compile=true"), count=2)
+    assert messages(caplog) == []
+    assert list(cache_dir().glob("*.pt2"))
+
+
+def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, caplog):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    losses = updated(make_pipeline("compile=true"), count=5)
+    assert losses == updated(make_pipeline(), count=5)
+    (message,) = messages(caplog)
+    assert "cannot be compiled: no C++ compiler is installed" in message
+
+
+@pytest.mark.parametrize(
+    ("optimizer", "reason"),
+    [
+        (lambda parameters: torch.optim.SGD(parameters, lr=1e-3, momentum=0.9), "the optimizer is SGD"),
+        (lambda parameters: torch.optim.Adam(parameters, lr=1e-3, amsgrad=True), "the optimizer uses amsgrad"),
+    ],
+    ids=["SGD", "AMSGrad"],
+)
+def test_another_optimizer_than_plain_adam_runs_eagerly(optimizer, reason, caplog):
+    pipeline = make_pipeline()
+    learner = Learner(pipeline.loss, optimizer(list(pipeline.loss.parameters())), pipeline.replay_buffer, compiled=True)
+    before = [parameter.clone() for parameter in pipeline.network.parameters()]
+    for _ in range(3):
+        learner.update()
+    (message,) = messages(caplog)
+    assert reason in message
+    assert any((a != b).any() for a, b in zip(before, pipeline.network.parameters(), strict=True))
