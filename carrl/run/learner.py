@@ -7,7 +7,7 @@ native function, since their overhead is most of the time of so small an update;
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict
@@ -97,7 +97,7 @@ def _compile_update(
 
         gradients, value = grad_and_value(loss_of)(values)
         for tensors_of_one in zip(values, gradients, steps, averages, squares, strict=True):
-            _adam_step(*tensors_of_one, **options)
+            _adam_step(options, *tensors_of_one)
         return value
 
     index = torch.zeros(buffer.batch_size, dtype=torch.int64)
@@ -124,8 +124,15 @@ def _parameters_of(loss: DQNLoss, keys: list[Any], values: list[Tensor], target_
         loss._modules.update(own)
 
 
-def _adam_options(optimizer: torch.optim.Optimizer) -> dict[str, float]:
-    """Learning rate, decay rates and epsilon of plain Adam with one group of parameters.
+class _AdamOptions(NamedTuple):
+    lr: float
+    beta_1: float
+    beta_2: float
+    eps: float
+
+
+def _adam_options(optimizer: torch.optim.Optimizer) -> _AdamOptions:
+    """What an update needs of plain Adam with one group of parameters.
 
     Raises:
         CompilationError: it is another optimizer, or uses more of Adam.
@@ -137,25 +144,17 @@ def _adam_options(optimizer: torch.optim.Optimizer) -> dict[str, float]:
     if extras:
         raise CompilationError(f"the optimizer uses {', '.join(extras)}")
     beta_1, beta_2 = group["betas"]
-    return {"lr": group["lr"], "beta_1": beta_1, "beta_2": beta_2, "eps": group["eps"]}
+    return _AdamOptions(group["lr"], beta_1, beta_2, group["eps"])
 
 
 def _adam_step(
-    value: Tensor,
-    gradient: Tensor,
-    step: Tensor,
-    average: Tensor,
-    square: Tensor,
-    *,
-    lr: float,
-    beta_1: float,
-    beta_2: float,
-    eps: float,
+    options: _AdamOptions, value: Tensor, gradient: Tensor, step: Tensor, average: Tensor, square: Tensor
 ) -> None:
     """Moves one parameter and its state in place.
 
     Source: Kingma and Ba 2015, "Adam: A Method for Stochastic Optimization", Algorithm 1.
     """
+    lr, beta_1, beta_2, eps = options
     step.add_(1)
     average.lerp_(gradient, 1 - beta_1)
     square.mul_(beta_2).addcmul_(gradient, gradient, value=1 - beta_2)

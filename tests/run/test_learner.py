@@ -1,6 +1,7 @@
 """Compiled updates against eager ones."""
 
 import logging
+import shutil
 
 import pytest
 import torch
@@ -10,6 +11,8 @@ from carrl.run.build import build_pipeline
 from carrl.run.learner import Learner
 from carrl.run.native import cache_dir
 from tests.configs import compose
+
+needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
 
 
 def make_pipeline(*overrides):
@@ -34,6 +37,7 @@ def updated(pipeline, count=200):
     return losses
 
 
+@needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 @pytest.mark.parametrize("loss", ["dqn", "double_dqn"])
@@ -47,6 +51,7 @@ def test_200_compiled_updates_equal_200_eager_ones(loss, caplog):
     assert all(torch.allclose(*pair, rtol=1e-5) for pair in zip(*(t.values(True, True) for t in targets), strict=True))
 
 
+@needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 def test_compiled_code_is_kept_between_runs(caplog):
