@@ -14,7 +14,14 @@ import yaml
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
 
-TINY = ["compile=false", "track=oval", "trainer.frames=320", "evaluation.interval=160", "replay_buffer.batch_size=16"]
+TINY = [
+    "compile=false",
+    "track=oval",
+    "env.num_envs=8",
+    "trainer.frames=320",
+    "evaluation.interval=160",
+    "replay_buffer.batch_size=16",
+]
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from tests.configs import compose
 
 def train(folder, *overrides):
     """A finished trainer and its pipeline."""
-    config = compose("trainer.frames=400", "evaluation.interval=1000", *overrides)
+    config = compose("env.num_envs=8", "trainer.frames=400", "evaluation.interval=1000", *overrides)
     pipeline = build_pipeline(config)
     recorder = TransitionWriter(folder / "train.mcap", attachments={}, metadata={})
     with RunFolder(folder, recorder) as run:
