@@ -18,8 +18,8 @@ def make_q_network(
     """A ReLU network with a linear output that picks the action of the highest value.
 
     Reads `observation` [N, R]; writes `action_value` [N, 3], `chosen_action_value` [N, 1] and the greedy `action`
-    [N], int64. Weights are He-initialised (uniform, gain of ReLU) and biases start at zero: with torch's default,
-    which scales the weights down by sqrt(6), more runs end in a network whose output no longer depends on its input.
+    [N], int64. Weights are He-initialised
+    (uniform, gain of ReLU) and biases start at zero: with torch's default fewer runs learn to lap (docs/paper.md).
 
     Source: He et al. 2015, "Delving Deep into Rectifiers", eq. 10; layer sizes from the paper's Table I.
 

@@ -70,7 +70,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         super().reset(seed=seed)
         station = self.np_random.uniform(0, self.simulator.track.length) if self.random_start else 0.0
         self._state = self.simulator.start(torch.tensor([station], dtype=torch.float64))
-        return self._observe(self.simulator.sense(self._state.pose)), self._info(self._state)
+        observation = self.simulator.sense(self._state.pose) / self.simulator.sensor.max_range
+        return observation[0].numpy(), self._info(self._state)
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Drives one time step; terminates on a collision and never truncates by itself."""
@@ -78,13 +79,10 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             raise gymnasium.error.ResetNeeded("call reset before the first step")
         outcome = self.simulator.step(self._state, torch.tensor([int(action)]))
         self._state = outcome.state
-        ranges = outcome.ranges / self.simulator.sensor.max_range
-        terms = self.reward.terms(ranges, outcome.collided, outcome.gates_passed)[0]
+        observation = outcome.ranges / self.simulator.sensor.max_range
+        terms = self.reward.terms(observation, outcome.collided, outcome.gates_passed)[0]
         info = self._info(outcome.state) | dict(zip(TERMS, terms.tolist(), strict=True))
-        return self._observe(outcome.ranges), terms.sum().item(), bool(outcome.collided), False, info
-
-    def _observe(self, ranges: torch.Tensor) -> np.ndarray:
-        return (ranges[0] / self.simulator.sensor.max_range).numpy()
+        return observation[0].numpy(), terms.sum().item(), bool(outcome.collided), False, info
 
     @staticmethod
     def _info(state: State) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def build_pipeline(config: Config) -> Pipeline:
     Raises:
         CarrlError: a part refuses its values.
     """
-    device = checked_device(config["device"])
+    device = _checked_device(config["device"])
     generator = partial(_generator, config["seed"])
     world = build_world(config)
     env = build_node(
@@ -124,7 +124,7 @@ def build_network(config: Config, generator: torch.Generator | None = None) -> Q
     )
 
 
-def checked_device(name: str) -> torch.device:
+def _checked_device(name: str) -> torch.device:
     """The device of this name.
 
     Raises:

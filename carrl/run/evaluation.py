@@ -100,8 +100,9 @@ def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1)
     stations = torch.arange(starts, dtype=torch.float64) * simulator.track.length / starts
     state = simulator.start(stations)
     trace = _Trace(state, simulator.sense(state.pose))
+    observation = trace.ranges[0] / simulator.sensor.max_range
     for _ in range(round(TIME_LIMIT_LAPS * simulator.lap_steps)):
-        action = policy(trace.ranges[-1] / simulator.sensor.max_range)
+        action = policy(observation)
         outcome = simulator.step(trace.state, action)
         observation = outcome.ranges / simulator.sensor.max_range
         terms = reward.terms(observation, outcome.collided, outcome.gates_passed)

@@ -38,7 +38,7 @@ def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) ->
         graph = make_fx(function)(*inputs)
         package = cache_dir() / f"{_fingerprint(graph, inputs)}.pt2"
         if not package.exists():
-            _logger.warning("Compiling the update for this machine; this takes about half a minute, once.")
+            _logger.warning("Compiling for this machine; this takes about half a minute, once.")
             _compile(graph, inputs, package)
         native = torch._inductor.aoti_load_package(str(package))
     except Exception as error:  # tracer, exporter, compiler and loader each have errors of their own

@@ -5,11 +5,12 @@ import shutil
 
 import pytest
 import torch
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from carrl.data.replay_buffer import KEYS
 from carrl.run.build import build_pipeline
 from carrl.run.learner import Learner
-from carrl.run.native import cache_dir
+from carrl.run.native import _fingerprint, cache_dir
 from tests.configs import compose
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
@@ -88,3 +89,20 @@ def test_another_optimizer_than_plain_adam_runs_eagerly(optimizer, reason, caplo
     (message,) = messages(caplog)
     assert reason in message
     assert any((a != b).any() for a, b in zip(before, pipeline.network.parameters(), strict=True))
+
+
+def test_compiled_code_is_told_apart_by_every_constant_and_shape():
+    def fingerprint(function, *shape):
+        inputs = [torch.ones(shape)]
+        return _fingerprint(make_fx(function)(*inputs), inputs)
+
+    discount, other_discount = torch.tensor(0.95), torch.tensor(0.9)
+    names = [
+        fingerprint(lambda values: values * discount, 3),
+        fingerprint(lambda values: values * other_discount, 3),
+        fingerprint(lambda values: values * 0.5, 3),
+        fingerprint(lambda values: values * 0.25, 3),
+        fingerprint(lambda values: values * 0.5, 4),
+    ]
+    assert len(set(names)) == len(names)
+    assert fingerprint(lambda values: values * discount, 3) == names[0]
