@@ -1,9 +1,10 @@
 """Epsilon-greedy exploration on the paper's schedule.
 
-Shapes: `N` cars.
+Shapes: `B` cars.
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -19,9 +20,9 @@ class ExponentialEpsilonGreedy(EGreedyModule):
 
     epsilon(t) = epsilon_min + (epsilon_max - epsilon_min) * exp(-decay_rate * t), t in env steps.
 
-    TorchRL's own module anneals linearly; this one overrides the schedule, draws from a generator of its own, and
-    also writes `epsilon` [N] float32 and `exploratory` [N] bool, whether the action was drawn at random. All cars
-    that step together act on the same t; `step` counts every one of them.
+    TorchRL's own module anneals linearly; this one overrides the schedule, draws from generators of its own, and
+    also writes `epsilon` [B] float32 and `exploratory` [B] bool, whether the action was drawn at random. All cars
+    that step together act on the same t; `step` counts every car of one agent.
 
     Source: the paper, eq. 4 and Table I.
 
@@ -30,7 +31,7 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         epsilon_min: towards which epsilon decays.
         decay_rate: 1 / env steps.
         action_spec: of one car.
-        generator: drawn from in every call, on the device of the actions.
+        generators: one for each agent, on the CPU; the cars are divided evenly among them, in order.
 
     Raises:
         ConfigError: unless 0 <= epsilon_min <= epsilon_max <= 1 and decay_rate >= 0.
@@ -43,7 +44,7 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         decay_rate: float,
         *,
         action_spec: TensorSpec,
-        generator: torch.Generator,
+        generators: Sequence[torch.Generator],
     ) -> None:
         """Starts at t = 0."""
         if not 0 <= epsilon_min <= epsilon_max <= 1:
@@ -56,7 +57,7 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         super().__init__(spec=action_spec, eps_init=epsilon_max, eps_end=epsilon_min)
         self.epsilon_max, self.epsilon_min, self.decay_rate = epsilon_max, epsilon_min, decay_rate
         self._action_count = action_spec.n
-        self._generator = generator
+        self._generators = list(generators)
         self.register_buffer("env_steps", torch.zeros((), dtype=torch.int64))
 
     @property
@@ -76,10 +77,11 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         epsilon = self.eps.expand(greedy.shape)
         if exploration_type() not in (ExplorationType.RANDOM, None):
             epsilon = torch.zeros_like(epsilon)
-        draw = {"generator": self._generator, "device": greedy.device}
-        exploratory = torch.rand(greedy.shape, **draw) < epsilon
-        drawn = torch.randint(self._action_count, greedy.shape, **draw)
-        tensordict["action"] = torch.where(exploratory, drawn, greedy)
+        share = len(greedy) // len(self._generators)
+        chance = torch.cat([torch.rand(share, generator=each) for each in self._generators]).to(greedy.device)
+        drawn = torch.cat([torch.randint(self._action_count, (share,), generator=each) for each in self._generators])
+        exploratory = chance < epsilon
+        tensordict["action"] = torch.where(exploratory, drawn.to(greedy.device), greedy)
         tensordict["epsilon"] = epsilon.clone()
         tensordict["exploratory"] = exploratory
         return tensordict

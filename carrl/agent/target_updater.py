@@ -1,21 +1,39 @@
 """When the target network follows the trained one."""
 
-from torchrl.objectives import DQNLoss, HardUpdate
+from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
 from carrl.errors import ConfigError
 
 
-def make_hard_update(period: int, *, loss: DQNLoss) -> HardUpdate:
-    """Copies the network into the target network at every `period`-th call of `step`: calls C, 2C, 3C and so on.
+class PeriodicHardUpdate(HardUpdate):
+    """Copies the network into the target network at env steps C, 2C, 3C and so on.
 
-    TorchRL 0.14's `HardUpdate(value_network_update_interval=n)` copies at every n+1-th call, hence the minus one;
-    `test_target_network_changes_exactly_at_steps_c_2c_3c` pins it.
+    TorchRL 0.14's `HardUpdate(value_network_update_interval=n)` copies at every n+1-th call of `step`, hence the minus
+    one; `test_target_network_changes_exactly_at_steps_c_2c_3c` pins it.
 
     Source: the paper, Algorithm 1 and Table I (C).
+    """
+
+    def __init__(self, loss: LossModule, period: int) -> None:
+        super().__init__(loss, value_network_update_interval=period - 1)
+
+    @property
+    def steps_left(self) -> int:
+        """Env steps from now to the next copy, 1 or more."""
+        return self.value_network_update_interval + 1 - self.counter
+
+    def step(self, count: int = 1) -> None:
+        """Counts env steps, at most as many as are left, and copies if none is left then."""
+        self.counter += count - 1
+        super().step()
+
+
+def make_hard_update(period: int, *, loss: DQNLoss) -> PeriodicHardUpdate:
+    """A hard update of the loss's target network every `period` env steps.
 
     Raises:
         ConfigError: the period is less than 1.
     """
     if period < 1:
         raise ConfigError(f"target_updater.period is {period}; it must be at least 1 env step")
-    return HardUpdate(loss, value_network_update_interval=period - 1)
+    return PeriodicHardUpdate(loss, period)

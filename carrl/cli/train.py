@@ -5,7 +5,8 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,12 @@ from torchrl import logger as torchrl_logger
 
 from carrl.config import build_node, config_dir
 from carrl.errors import CarrlError, ConfigError
-from carrl.run.build import Pipeline, build_pipeline
-from carrl.run.folder import LAP, LEARNING_CURVE, LOG, RunFolder
+from carrl.run.agent_run import AgentRun
+from carrl.run.build import Pipeline, World, build_pipeline
+from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_text
 from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
+from carrl.sim.track import Track
 from carrl.view.console import TrainingDisplay, print_summary
 from carrl.view.lap import draw_lap
 from carrl.view.learning_curve import draw_learning_curve
@@ -68,24 +71,36 @@ def _train(config: DictConfig) -> None:
         raise ConfigError(f"threads is {values['threads']}; it must be a whole number of at least 1")
     torch.set_num_threads(values["threads"])
     path = Path(HydraConfig.get().runtime.output_dir)
+    began = datetime.now(UTC)
     pipeline = build_pipeline(values)
-    with RunFolder(path, _open_log(path, config, pipeline)) as folder:
-        trainer = Trainer(pipeline, folder)
-        limits = pipeline.limits
-        with _stopping_on_signals(trainer) as interrupted, TrainingDisplay(limits.frames, limits.episodes) as display:
+    plan = pipeline.plan
+    with ExitStack() as stack:
+        folders = [stack.enter_context(_open_folder(path, config, pipeline, agent.seed)) for agent in pipeline.agents]
+        trainer = Trainer(pipeline, folders)
+        with _stopping_on_signals(trainer) as interrupted, TrainingDisplay(plan.frames, plan.episodes) as display:
             trainer.run(display)
-        summary = summarise(trainer, seed=values["seed"], track=pipeline.world.track.name)
-        folder.write_summary(summary)
-    _draw(path, pipeline, trainer)
-    print_summary(summary, path)
+    for run in trainer.runs:
+        summary = summarise(run, began, pipeline.learner.first_update_s, track=pipeline.world.track.name)
+        run.folder.write_summary(summary)
+        _draw(pipeline.world, run)
+        print_summary(summary, run.folder.path)
     if interrupted:
         raise KeyboardInterrupt
 
 
-def _open_log(path: Path, config: DictConfig, pipeline: Pipeline) -> Any:
+def _open_folder(path: Path, config: DictConfig, pipeline: Pipeline, seed: int) -> RunFolder:
+    """The folder of the agent with this seed: the run's own, or one below it that looks as if trained alone."""
+    if pipeline.plan.seeds is not None:
+        config = OmegaConf.merge(config, {"seed": seed, "trainer": {"seeds": None}})  # type: ignore[assignment]
+        path = path / f"seed={seed}"
+        (path / CONFIG).parent.mkdir(parents=True, exist_ok=True)
+        write_text(path / CONFIG, OmegaConf.to_yaml(config))
+    return RunFolder(path, _open_log(path, config, pipeline.world.track))
+
+
+def _open_log(path: Path, config: DictConfig, track: Track) -> Any:
     if not config.get("recorder"):
         return None
-    track = pipeline.world.track
     return build_node(
         "recorder",
         OmegaConf.to_container(config.recorder),  # type: ignore[arg-type]
@@ -117,10 +132,11 @@ def _stopping_on_signals(trainer: Trainer) -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _draw(path: Path, pipeline: Pipeline, trainer: Trainer) -> None:
-    first_lap = trainer.first_lap.episode if trainer.first_lap else None
-    draw_learning_curve(path / LEARNING_CURVE, trainer.episode_returns, first_lap_episode=first_lap)
-    best, world = trainer.best, pipeline.world
+def _draw(world: World, run: AgentRun) -> None:
+    path = run.folder.path
+    first_lap = run.first_lap.episode if run.first_lap else None
+    draw_learning_curve(path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
+    best = run.best
     if best is not None:
         draw_lap(
             path / LAP,

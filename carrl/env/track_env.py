@@ -3,6 +3,8 @@
 Shapes: `N` cars driven side by side, `R` rays.
 """
 
+from collections.abc import Sequence
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -31,14 +33,15 @@ class TrackEnv(EnvBase):
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
 
-    The state of the cars travels in the TensorDict; the environment keeps only its random generator, which drives
+    The state of the cars travels in the TensorDict; the environment keeps only its random generators, which drive
     random starts and `rand_action`. The same seed gives the same rollout, whatever other code draws from torch.
 
     Args:
         track: a track, or what `Track.load` takes.
-        num_envs: how many cars, N.
+        num_envs: how many cars, N; so many for each seed, if there are several.
         device: where the tensors live.
-        seed: of the environment's generator; None for a fresh one.
+        seed: of the environment's generator; None for a fresh one. Several seeds put several environments into one, one
+            after the other, each of whose cars drive as they would alone.
         vehicle: the car.
         sensor: its rays.
         reward: what a step earns.
@@ -55,7 +58,7 @@ class TrackEnv(EnvBase):
         track: Track | str = "paper",
         num_envs: int = 1,
         device: torch.device | str = "cpu",
-        seed: int | None = None,
+        seed: int | Sequence[int] | None = None,
         *,
         vehicle: Vehicle | None = None,
         sensor: Sensor | None = None,
@@ -68,19 +71,19 @@ class TrackEnv(EnvBase):
             raise ConfigError(f"env.num_envs is {num_envs}; it must be at least 1")
         if max_steps < 1:
             raise ConfigError(f"env.max_steps is {max_steps}; it must be at least 1")
-        super().__init__(device=device, batch_size=[num_envs])
+        seeds = [seed] if seed is None or isinstance(seed, int) else list(seed)
+        if not seeds:
+            raise ConfigError("seed names no seed; give a whole number, or a list of them")
+        super().__init__(device=device, batch_size=[num_envs * len(seeds)])
         self.max_steps = max_steps
         self.random_start = random_start
         self.reward = reward or Reward()
         track = track if isinstance(track, Track) else Track.load(track)
         self.simulator = Simulator(track, vehicle or Vehicle(), sensor or Sensor(), self.device)
-        self._generator = torch.Generator()
+        self._generators = [_generator(each) for each in seeds]
+        self._share = num_envs
         self._declare_specs()
-        self._start_line = self._start(torch.zeros(num_envs, dtype=torch.float64))
-        if seed is None:
-            self._generator.seed()
-        else:
-            self.set_seed(seed)
+        self._start_line = self._start(torch.zeros(self.batch_size, dtype=torch.float64))
 
     @property
     def track(self) -> Track:
@@ -98,18 +101,31 @@ class TrackEnv(EnvBase):
         return self.simulator.sensor_angles
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
-        """Draws an action for every car from the environment's own generator."""
-        action = torch.randint(len(Action), self.batch_size, generator=self._generator).to(self.device)
+        """Draws an action for every car from the environment's own generators."""
+        drawn = [torch.randint(len(Action), (self._share,), generator=each) for each in self._generators]
+        action = torch.cat(drawn).to(self.device)
         if tensordict is None:
             return TensorDict({"action": action}, batch_size=self.batch_size, device=self.device)
         return tensordict.set("action", action)
 
     def _reset(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         """All cars at the start; in a partial reset EnvBase keeps the others as they were."""
-        if self.random_start:
-            stations = torch.rand(self.batch_size, dtype=torch.float64, generator=self._generator) * self.track.length
-            return self._start(stations)
-        return self._start_line.clone()
+        if not self.random_start:
+            return self._start_line.clone()
+        wanted = torch.ones(self.batch_size, dtype=torch.bool)
+        if tensordict is not None and "_reset" in tensordict:
+            wanted = tensordict["_reset"].view(-1).cpu()
+        return self._start(self._draw_stations(wanted))
+
+    def _draw_stations(self, wanted: Tensor) -> Tensor:
+        """Places along the track, [N]; a generator is only drawn from if one of its own cars is `wanted`, [N]."""
+        stations = torch.zeros(self.batch_size, dtype=torch.float64)
+        for each, share, cars in zip(
+            self._generators, stations.split(self._share), wanted.split(self._share), strict=True
+        ):
+            if cars.any():
+                share.copy_(torch.rand(self._share, dtype=torch.float64, generator=each))
+        return stations * self.track.length
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = State(tensordict["pose"], tensordict["next_gate"], tensordict["gates_passed"])
@@ -129,7 +145,8 @@ class TrackEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        self._generator.manual_seed(0 if seed is None else seed)
+        for offset, generator in enumerate(self._generators):
+            generator.manual_seed((0 if seed is None else seed) + offset)
 
     def _start(self, stations: Tensor) -> TensorDict:
         """The cars at the start of an episode, not done: stations [N], m."""
@@ -171,3 +188,11 @@ class TrackEnv(EnvBase):
         self.reward_spec = Unbounded((cars, 1), dtype=torch.float32, **options)
         flag = Binary(1, shape=(cars, 1), dtype=torch.bool, **options)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options)
+
+
+def _generator(seed: int | None) -> torch.Generator:
+    generator = torch.Generator()
+    if seed is None:
+        generator.seed()
+        return generator
+    return generator.manual_seed(seed)

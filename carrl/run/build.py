@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,15 +10,15 @@ from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.modules import QValueActor
-from torchrl.objectives import DQNLoss, HardUpdate
 
 from carrl.agent.exploration import ExponentialEpsilonGreedy
+from carrl.agent.policy import GreedyPolicy
 from carrl.config import build_node
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
-from carrl.run.learner import Learner
-from carrl.run.plan import EvaluationPlan, Limits
+from carrl.run.learner import Agent, Learner
+from carrl.run.plan import EvaluationPlan, TrainingPlan
 from carrl.sim.sensor import Sensor
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, Vehicle
@@ -37,18 +36,17 @@ class World:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """The parts of a training run, built and wired."""
+    """The parts of a training run, built and wired; `agents` train side by side, each as it would alone."""
 
     world: World
     env: TrackEnv
-    network: QValueActor
+    agents: list[Agent]
+    policy: GreedyPolicy
     exploration: ExponentialEpsilonGreedy
     collector: Collector
     replay_buffer: TensorDictReplayBuffer
-    loss: DQNLoss
-    target_updater: HardUpdate
     learner: Learner
-    limits: Limits
+    plan: TrainingPlan
     evaluation: EvaluationPlan
 
 
@@ -62,7 +60,9 @@ def build_pipeline(config: Config) -> Pipeline:
         CarrlError: a part refuses its values.
     """
     device = _checked_device(config["device"])
-    generator = partial(_generator, config["seed"])
+    compiled = _checked_flag("compile", config["compile"])
+    plan: TrainingPlan = build_node("trainer", config["trainer"])
+    seeds = plan.agent_seeds(config["seed"])
     world = build_world(config)
     env = build_node(
         "env",
@@ -72,34 +72,46 @@ def build_pipeline(config: Config) -> Pipeline:
         sensor=world.sensor,
         reward=world.reward,
         device=device,
-        seed=generator("env").initial_seed(),
+        seed=[_part_seed(seed, "env") for seed in seeds],
     )
-    network = build_network(config, generator("network")).to(device)
+    agents = [_build_agent(config, seed, device) for seed in seeds]
+    policy = GreedyPolicy([agent.network for agent in agents])
     exploration = build_node(
         "exploration",
         config["exploration"],
         action_spec=env.action_spec_unbatched,
-        generator=generator("exploration", device),
+        generators=[_generator(seed, "exploration") for seed in seeds],
     ).to(device)
-    policy = TensorDictSequential(network, exploration)
-    collector = build_node("collector", config["collector"], env=env, policy=policy)
+    collector = build_node("collector", config["collector"], env=env, policy=TensorDictSequential(policy, exploration))
     replay_buffer = build_node(
-        "replay_buffer", config["replay_buffer"], device=device, generator=generator("replay_buffer")
+        "replay_buffer",
+        config["replay_buffer"],
+        device=device,
+        generators=[_generator(seed, "replay_buffer") for seed in seeds],
     )
-    loss = build_node("loss", config["loss"], network=network)
-    optimizer = build_node("optimizer", config["optimizer"], params=list(loss.parameters()))
     return Pipeline(
         world=world,
         env=env,
-        network=network,
+        agents=agents,
+        policy=policy,
         exploration=exploration,
         collector=collector,
         replay_buffer=replay_buffer,
-        loss=loss,
-        target_updater=build_node("target_updater", config["target_updater"], loss=loss),
-        learner=Learner(loss, optimizer, replay_buffer, compiled=_checked_flag("compile", config["compile"])),
-        limits=build_node("trainer", config["trainer"]),
+        learner=Learner(agents, replay_buffer, compiled=compiled),
+        plan=plan,
         evaluation=build_node("evaluation", config["evaluation"]),
+    )
+
+
+def _build_agent(config: Config, seed: int, device: torch.device) -> Agent:
+    network = build_network(config, _generator(seed, "network")).to(device)
+    loss = build_node("loss", config["loss"], network=network)
+    return Agent(
+        seed=seed,
+        network=network,
+        loss=loss,
+        optimizer=build_node("optimizer", config["optimizer"], params=list(loss.parameters())),
+        target_updater=build_node("target_updater", config["target_updater"], loss=loss),
     )
 
 
@@ -147,9 +159,11 @@ def _checked_flag(name: str, value: Any) -> bool:
 _RANDOM_PARTS = ("env", "network", "exploration", "replay_buffer")
 
 
-def _generator(seed: int, part: str, device: torch.device | str = "cpu") -> torch.Generator:
+def _generator(seed: int, part: str) -> torch.Generator:
     """A generator for one part, so that what one part draws never shifts what another draws."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ConfigError(f"seed is {seed!r}; it must be a whole number of at least 0")
+    return torch.Generator().manual_seed(_part_seed(seed, part))
+
+
+def _part_seed(seed: int, part: str) -> int:
     states = np.random.SeedSequence(seed).generate_state(len(_RANDOM_PARTS))
-    return torch.Generator(device).manual_seed(int(states[_RANDOM_PARTS.index(part)]))
+    return int(states[_RANDOM_PARTS.index(part)])

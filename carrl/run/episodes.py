@@ -1,11 +1,12 @@
 """Keeps the account of episodes while transitions stream by.
 
-Shapes: `N` cars, `T` steps of each in a batch.
+Shapes: `A` agents, `N` cars of each, `B` = A * N cars in all, agent by agent; `T` steps of each car in a batch.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 
@@ -19,7 +20,7 @@ class Episode:
     Attributes:
         episode: its number in the run, from 0, in the order in which episodes began.
         frame: env steps of the whole run when it ended.
-        env: which car drove it.
+        env: which car of the run drove it.
         episode_return: undiscounted sum of its rewards.
         length: its steps.
         gates: gates passed.
@@ -38,48 +39,54 @@ class Episode:
 
 
 class EpisodeTracker:
-    """Numbers the episodes of N cars driven side by side and sums up each one as it ends."""
+    """Numbers the episodes of every agent's cars, driven side by side, and sums up each one as it ends.
 
-    def __init__(self, num_envs: int, gates_per_lap: int) -> None:
+    Attributes:
+        frames: env steps of each agent.
+    """
+
+    def __init__(self, agents: int, num_envs: int, gates_per_lap: int) -> None:
         """Begins with the first episode of every car."""
         self._gates_per_lap = gates_per_lap
-        self._episode = torch.arange(num_envs)
-        self._return = torch.zeros(num_envs, dtype=torch.float64)
-        self._begun = num_envs
+        self._cars = num_envs
+        self._env = np.tile(np.arange(num_envs), agents)
+        self._episode = self._env.copy()
+        self._return = np.zeros(agents * num_envs)
+        self._begun = [num_envs] * agents
         self.frames = 0
 
-    def follow(self, batch: TensorDictBase) -> list[Episode]:
-        """Adds the keys `episode` and `env` to a batch [N, T] and returns the episodes ended in it."""
+    def follow(self, batch: TensorDictBase) -> list[list[Episode]]:
+        """Adds the keys `episode` and `env` to a batch [B, T] and returns each agent's episodes that ended in it."""
         cars, steps = batch.batch_size
-        numbers = torch.empty(cars, steps, dtype=torch.int64)
-        after = batch["next"].select(*_KEYS).cpu()
-        ended: list[Episode] = []
+        numbers = np.empty((cars, steps), dtype=np.int64)
+        after = {key: batch["next", key].cpu().numpy().reshape(cars, steps) for key in _KEYS}
+        ended: list[list[Episode]] = [[] for _ in self._begun]
         for step in range(steps):
             numbers[:, step] = self._episode
-            ended += self._follow_step(after[:, step])
-        batch["episode"] = numbers
-        batch["env"] = torch.arange(cars)[:, None].expand(cars, steps)
+            self.frames += self._cars
+            self._return += after["reward"][:, step]
+            for car in np.flatnonzero(after["done"][:, step]).tolist():
+                last = {key: values[car, step] for key, values in after.items()}
+                ended[car // self._cars].append(self._end(car, last))
+        batch["episode"] = torch.from_numpy(numbers)
+        batch["env"] = torch.from_numpy(self._env)[:, None].expand(cars, steps)
         return ended
 
-    def _follow_step(self, after: TensorDictBase) -> list[Episode]:
-        self.frames += len(self._episode)
-        self._return += after["reward"].view(-1)
-        ended = [self._sum_up(after, car) for car in after["done"].view(-1).nonzero().view(-1).tolist()]
-        for episode in ended:
-            self._return[episode.env] = 0
-            self._episode[episode.env] = self._begun
-            self._begun += 1
-        return ended
-
-    def _sum_up(self, after: TensorDictBase, car: int) -> Episode:
-        gates = int(after["gates_passed"][car])
-        return Episode(
+    def _end(self, car: int, after: dict[str, Any]) -> Episode:
+        """Sums up a car's episode from its last step and begins the next."""
+        gates = int(after["gates_passed"])
+        episode = Episode(
             episode=int(self._episode[car]),
             frame=self.frames,
-            env=car,
+            env=int(self._env[car]),
             episode_return=float(self._return[car]),
-            length=int(after["step"][car]),
+            length=int(after["step"]),
             gates=gates,
             laps=gates // self._gates_per_lap,
-            ended="collision" if after["terminated"][car].item() else "time limit",
+            ended="collision" if after["terminated"] else "time limit",
         )
+        agent = car // self._cars
+        self._return[car] = 0
+        self._episode[car] = self._begun[agent]
+        self._begun[agent] += 1
+        return episode

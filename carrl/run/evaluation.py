@@ -12,9 +12,10 @@ import torch
 from torch import Tensor
 from torchrl.modules import QValueActor
 
+from carrl.agent.policy import GreedyPolicy
 from carrl.env.reward import Reward
 from carrl.errors import ConfigError
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import Outcome, Simulator, State
 from carrl.sim.vehicle import Action
 
 Policy = Callable[[Tensor], Tensor]
@@ -64,12 +65,7 @@ class Drive:
 
 def greedy_policy(network: QValueActor) -> Policy:
     """The action of the highest value."""
-
-    @torch.no_grad()
-    def act(observation: Tensor) -> Tensor:
-        return network.module[0].module(observation).argmax(dim=-1)
-
-    return act
+    return GreedyPolicy([network]).actions
 
 
 def rule_policy(observation: Tensor) -> Tensor:
@@ -97,69 +93,67 @@ def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1)
     """
     if starts < 1:
         raise ConfigError(f"starts is {starts}; it must be at least 1")
-    stations = torch.arange(starts, dtype=torch.float64) * simulator.track.length / starts
+    return drive_from(simulator, reward, policy, torch.arange(starts) * simulator.track.length / starts)
+
+
+def drive_from(simulator: Simulator, reward: Reward, policy: Policy, stations: Tensor) -> list[Drive]:
+    """Drives one lap from each of these places, m along the centreline, [B]."""
+    stations = stations.double()
     state = simulator.start(stations)
-    trace = _Trace(state, simulator.sense(state.pose))
-    observation = trace.ranges[0] / simulator.sensor.max_range
+    ranges = simulator.sense(state.pose)
+    nothing = torch.zeros_like(state.next_gate)
+    outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], []
+    driving = ~nothing.bool()
     for _ in range(round(TIME_LIMIT_LAPS * simulator.lap_steps)):
-        action = policy(observation)
-        outcome = simulator.step(trace.state, action)
-        observation = outcome.ranges / simulator.sensor.max_range
-        terms = reward.terms(observation, outcome.collided, outcome.gates_passed)
-        ended = outcome.collided | (outcome.state.gates_passed >= simulator.track.gate_count)
-        trace.append(action, outcome.state, outcome.ranges, terms.sum(-1), outcome.collided, ended)
-        if not trace.driving.any():
+        action = policy(outcomes[-1].ranges / simulator.sensor.max_range)
+        outcome = simulator.step(outcomes[-1].state, action)
+        actions.append(action)
+        outcomes.append(outcome)
+        driving &= ~_has_ended(outcome, simulator)
+        if not driving.any():
             break
-    progress = simulator.progress(trace.state, stations)
-    return [trace.drive(car, simulator, reward, stations[car].item(), progress[car].item()) for car in range(starts)]
+    return _sum_up(_stack(outcomes), torch.stack(actions), simulator, reward, stations)
 
 
-class _Trace:
-    """What the cars did, step by step; a car that has ended stands still and adds nothing."""
+def _has_ended(outcome: Outcome, simulator: Simulator) -> Tensor:
+    return outcome.collided | (outcome.state.gates_passed >= simulator.track.gate_count)
 
-    def __init__(self, state: State, ranges: Tensor) -> None:
-        self.state = state
-        self.driving = torch.ones_like(state.next_gate, dtype=torch.bool)
-        self.collided = torch.zeros_like(self.driving)
-        self.poses, self.ranges = [state.pose], [ranges]
-        self.actions: list[Tensor] = []
-        self.rewards: list[Tensor] = []
-        self.lengths = torch.zeros_like(state.next_gate)
 
-    def append(
-        self, action: Tensor, state: State, ranges: Tensor, reward: Tensor, collided: Tensor, ended: Tensor
-    ) -> None:
-        moving = self.driving
-        self.state = State(*(_where(moving, new, old) for new, old in zip(state, self.state, strict=True)))
-        self.collided |= moving & collided
-        self.lengths += moving
-        self.actions.append(action)
-        self.rewards.append(torch.where(moving, reward, 0.0))
-        self.poses.append(self.state.pose)
-        self.ranges.append(_where(moving, ranges, self.ranges[-1]))
-        self.driving = moving & ~ended
+def _stack(outcomes: list[Outcome]) -> Outcome:
+    """The outcomes [B, ...] of T + 1 moments as one, [T + 1, B, ...]."""
+    states, ranges, collided, passed = zip(*outcomes, strict=True)
+    return Outcome(State(*map(torch.stack, zip(*states, strict=True))), *map(torch.stack, (ranges, collided, passed)))
 
-    def drive(self, car: int, simulator: Simulator, reward: Reward, start: float, progress: float) -> Drive:
-        steps = int(self.lengths[car])
-        actions = torch.stack(self.actions)[:steps, car]
-        ranges = torch.stack(self.ranges)[: steps + 1, car]
-        switches = (actions[1:] != actions[:-1]).sum().item()
-        return Drive(
-            start=start,
-            lap_completed=int(self.state.gates_passed[car]) >= simulator.track.gate_count,
-            collided=bool(self.collided[car]),
-            progress=progress,
-            lap_reward=torch.stack(self.rewards)[:, car].sum().item(),
-            lap_steps=steps,
-            forward_share=(actions == Action.FORWARD).double().mean().item(),
-            switches_per_100m=100 * switches / (steps * simulator.vehicle.step_length),
-            near_wall_share=reward.is_near_wall(ranges[1:] / simulator.sensor.max_range).double().mean().item(),
-            poses=torch.stack(self.poses)[: steps + 1, car].cpu().numpy(),
-            ranges=ranges.cpu().numpy(),
-            actions=actions.cpu().numpy(),
+
+def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Reward, stations: Tensor) -> list[Drive]:
+    """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
+    limit = len(actions)
+    ended = _has_ended(course, simulator)
+    lengths = torch.where(ended.any(0), ended.int().argmax(0), limit)
+    last = (lengths, torch.arange(len(lengths), device=lengths.device))
+    observation = course.ranges / simulator.sensor.max_range
+    near = reward.is_near_wall(observation)
+    rewards = reward.terms(observation, course.collided, course.gates_passed).sum(-1)
+    state = State(*(values[last] for values in course.state))
+    progress = simulator.progress(state, stations).tolist()
+    drives = []
+    for car, steps in enumerate(lengths.tolist()):
+        driven = actions[:steps, car]
+        switches = (driven[1:] != driven[:-1]).sum().item()
+        drives.append(
+            Drive(
+                start=stations[car].item(),
+                lap_completed=bool(state.gates_passed[car] >= simulator.track.gate_count),
+                collided=bool(course.collided[steps, car]),
+                progress=progress[car],
+                lap_reward=rewards[1 : steps + 1, car].sum().item(),
+                lap_steps=steps,
+                forward_share=(driven == Action.FORWARD).double().mean().item(),
+                switches_per_100m=100 * switches / (steps * simulator.vehicle.step_length),
+                near_wall_share=near[1 : steps + 1, car].double().mean().item(),
+                poses=course.state.pose[: steps + 1, car].cpu().numpy(),
+                ranges=course.ranges[: steps + 1, car].cpu().numpy(),
+                actions=driven.cpu().numpy(),
+            )
         )
-
-
-def _where(mask: Tensor, new: Tensor, old: Tensor) -> Tensor:
-    """The rows of `new` where the mask [B] holds, else those of `old`."""
-    return torch.where(mask.view(-1, *[1] * (new.ndim - 1)), new, old)
+    return drives

@@ -27,6 +27,7 @@ from carrl.run.build import build_network
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.episodes import Episode
 from carrl.run.evaluation import Drive, Policy, greedy_policy
+from carrl.run.moment import Moment
 
 CONFIG = Path(".hydra/config.yaml")
 LOG = "train.mcap"
@@ -71,18 +72,16 @@ class RunFolder:
         if self._recorder is not None:
             self._recorder.write(transitions, time_s)
 
-    def add_episode(
-        self, episode: Episode, recent_return: float, epsilon: float, loss: float, updates: int, wall_time_s: float
-    ) -> None:
+    def add_episode(self, episode: Episode, recent_return: float, moment: Moment) -> None:
         """Adds a row to `metrics.csv`."""
         self._metrics.append(
             {
                 **asdict(episode),
                 "mean_return_20": round(recent_return, 3),
-                "epsilon": round(epsilon, 6),
-                "loss": loss,
-                "updates": updates,
-                "wall_time_s": round(wall_time_s, 3),
+                "epsilon": round(moment.epsilon, 6),
+                "loss": moment.loss,
+                "updates": moment.updates,
+                "wall_time_s": round(moment.wall_time_s, 3),
             }
         )
 

@@ -18,12 +18,22 @@ from torch.fx.experimental.proxy_tensor import make_fx
 _logger = logging.getLogger(__name__)
 
 
+_QUICK_TO_COMPILE = {
+    "cpp.vec_isa_ok": True,  # torch has asked the processor already; Inductor would compile a program for each answer
+    "aot_inductor.precompile_headers": False,  # pays off after several compilations
+    "aot_inductor.compile_wrapper_opt_level": "O0",  # the wrapper only calls the kernels
+}
+
+
 class CompilationError(Exception):
     """A function cannot be compiled here; the message says why."""
 
 
-def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) -> Callable[..., Tensor]:
-    """Traces `function` on these inputs and returns it as native code for inputs of the same shapes and types.
+NativeFunction = Callable[[list[Tensor]], list[Tensor]]
+
+
+def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) -> NativeFunction:
+    """Traces `function` on these inputs and returns it as native code for lists of inputs of the same shapes and types.
 
     What the function does to its inputs in place, the native code does too. Python branches are taken as they were in
     the trace. The code is kept in `cache_dir()`, under a name that any change of the function, the shapes, torch or the
@@ -35,14 +45,15 @@ def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) ->
     if shutil.which(os.environ.get("CXX", "g++")) is None:
         raise CompilationError("no C++ compiler is installed; install g++, or set CXX")
     try:
-        graph = make_fx(function)(*inputs)
+        graph = make_fx(lambda *tensors: function(*tensors))(*inputs)  # a lambda, since it refuses bound methods
         package = cache_dir() / f"{_fingerprint(graph, inputs)}.pt2"
         if not package.exists():
             _logger.warning("Compiling for this machine; this takes about half a minute, once.")
             _compile(graph, inputs, package)
-        native = torch._inductor.aoti_load_package(str(package))
+        model = torch._inductor.aoti_load_package(str(package))
     except Exception as error:  # tracer, exporter, compiler and loader each have errors of their own
         raise CompilationError(f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}") from error
+    native: NativeFunction = model.loader.run  # model itself sorts its arguments first, in as much time as it computes
     return native
 
 
@@ -70,5 +81,7 @@ def _compile(graph: GraphModule, inputs: Sequence[Tensor], package: Path) -> Non
     package.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     program = torch.export.export(graph, tuple(inputs))
     with tempfile.TemporaryDirectory(dir=package.parent) as folder:
-        partial_package = torch._inductor.aoti_compile_and_package(program, package_path=f"{folder}/{package.name}")
+        partial_package = torch._inductor.aoti_compile_and_package(
+            program, package_path=f"{folder}/{package.name}", inductor_configs=_QUICK_TO_COMPILE
+        )
         os.replace(partial_package, package)

@@ -1,27 +1,53 @@
-"""What a run is to do: how long, and how often it is evaluated."""
+"""What a run is to do: how long, by which agents, and how often it is evaluated."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from carrl.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Limits:
-    """When a run ends.
+class TrainingPlan:
+    """When a run ends, and which agents train side by side.
 
     Attributes:
-        episodes: once this many have ended.
-        frames: once this many env steps are done.
+        episodes: a run ends once this many have ended.
+        frames: or once this many env steps are done.
+        seeds: of the agents, each a whole number or a range such as "0..9", both ends included; None for one agent.
     """
 
     episodes: int
     frames: int
+    seeds: Sequence[int | str] | None = None
 
     def __post_init__(self) -> None:
-        """Raises ConfigError unless both allow at least one."""
-        for name, value in vars(self).items():
-            if value < 1:
-                raise ConfigError(f"trainer.{name} is {value}; it must be at least 1")
+        """Raises ConfigError unless a run can make at least one step."""
+        for name in ("episodes", "frames"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"trainer.{name} is {getattr(self, name)}; it must be at least 1")
+
+    def agent_seeds(self, seed: int) -> list[int]:
+        """The seeds of all agents; `seed` is that of the one agent where no others are named.
+
+        Raises:
+            ConfigError: a seed is no whole number of at least 0, or there twice.
+        """
+        named = [seed] if self.seeds is None else [each for entry in self.seeds for each in _expand(entry)]
+        if not named or len(set(named)) < len(named):
+            raise ConfigError(f"trainer.seeds is {list(self.seeds or [])}; it must name at least one, and none twice")
+        for each in named:
+            if isinstance(each, bool) or not isinstance(each, int) or each < 0:
+                raise ConfigError(f"seed is {each!r}; it must be a whole number of at least 0")
+        return named
+
+
+def _expand(entry: int | str) -> list[int]:
+    if isinstance(entry, int):
+        return [entry]
+    first, dots, last = entry.partition("..")
+    if not (dots and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+        raise ConfigError(f"trainer.seeds has '{entry}'; write seeds as whole numbers or as first..last, as in [0..9]")
+    return list(range(int(first), int(last) + 1))
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,8 @@ def find_runs(roots: list[Path]) -> list[RunResult]:
     Raises:
         CheckpointError: there is none, or one is damaged.
     """
-    folders = sorted({config.parent.parent for root in roots for config in root.rglob(str(CONFIG))})
+    found = {config.parent.parent for root in roots for config in root.rglob(str(CONFIG))}
+    folders = sorted(found - {folder.parent for folder in found})  # a run of several seeds holds one folder for each
     if not folders:
         names = ", ".join(f"'{root}'" for root in roots)
         raise CheckpointError(f"no run in {names}; name folders that `carrl train` has written")

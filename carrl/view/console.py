@@ -12,7 +12,8 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn
 from rich.table import Table
 from rich.text import Text
 
-from carrl.run.trainer import RECENT_EPISODES, Trainer
+from carrl.run.agent_run import RECENT_EPISODES
+from carrl.run.trainer import Trainer
 
 
 class TrainingDisplay:
@@ -42,17 +43,22 @@ class TrainingDisplay:
 
     def __call__(self, trainer: Trainer) -> None:
         """Moves the bar and the figures on."""
-        done = max(trainer.frames / self._frames_limit, trainer.episodes / self._episodes_limit)
+        episodes = min(run.episodes for run in trainer.runs)  # the run that ends last
+        done = max(trainer.frames / self._frames_limit, episodes / self._episodes_limit)
         self._bar.update(self._task, completed=min(done, 1.0))
         self._figures.plain = _describe(trainer)
 
 
 def _describe(trainer: Trainer) -> str:
-    recent = "-" if math.isnan(trainer.recent_return) else f"{trainer.recent_return:.0f}"
-    rate = trainer.frames / max(trainer.wall_time_s, 1e-9)
+    runs = trainer.runs
+    recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
+    lapped = sum(run.first_lap is not None for run in runs)
+    rate = sum(run.moment.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
     return (
-        f"  {trainer.frames:,} frames · {trainer.episodes:,} episodes · {trainer.laps:,} laps · {rate:,.0f} frames/s\n"
-        f"  return of the last {RECENT_EPISODES} episodes {recent} · epsilon {trainer.epsilon:.2f}"
+        f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
+        f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
+        f"  return of the last {RECENT_EPISODES} episodes {sum(recent) / len(recent) if recent else math.nan:.0f} · "
+        f"epsilon {runs[0].moment.epsilon:.2f} · greedy lap by {lapped} of {len(runs)}"
     )
 
 
@@ -75,6 +81,10 @@ def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("episodes", f"{summary['episodes']:,}"),
         ("updates", f"{summary['updates']:,}"),
         ("wall time", f"{summary['wall_time_s']:.1f} s"),
+        (
+            "first update",
+            "none" if summary["first_update_s"] is None else f"after {summary['first_update_s']:.1f} s",
+        ),
         ("first greedy lap", f"frame {first['frame']:,}, episode {first['episode']:,}" if first else "none"),
     ]
     if best:

@@ -20,7 +20,7 @@ def make_exploration(epsilon_max=0.99, epsilon_min=0.01, decay_rate=1e-4, seed=0
         epsilon_min,
         decay_rate,
         action_spec=Categorical(3),
-        generator=torch.Generator().manual_seed(seed),
+        generators=[torch.Generator().manual_seed(seed)],
     )
 
 
@@ -82,7 +82,7 @@ def test_no_exploration_when_the_mode_is_deterministic():
     assert not after["exploratory"].any()
 
 
-def test_draws_come_from_its_own_generator():
+def test_draws_come_from_its_own_generators():
     first = explored(make_exploration(seed=5))
     torch.rand(10)
     assert (first == explored(make_exploration(seed=5))).all()

@@ -10,47 +10,61 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
 
 
-def numbered_transitions(first, count):
-    numbers = torch.arange(first, first + count)
-    flag = torch.zeros(count, 1, dtype=torch.bool)
+def numbered_transitions(first, count, agents=1):
+    """Transitions [count, agents]; those of agent a have numbers above 1000 a."""
+    numbers = torch.arange(first, first + count)[:, None] + 1000 * torch.arange(agents)
+    flag = torch.zeros(count, agents, 1, dtype=torch.bool)
     values = {
-        "observation": numbers[:, None].float(),
+        "observation": numbers[..., None].float(),
         "action": numbers,
-        "next": {"observation": numbers[:, None].float() + 1, "reward": numbers[:, None] * 10.0},
+        "next": {"observation": numbers[..., None].float() + 1, "reward": numbers[..., None] * 10.0},
     }
     values["next"] |= {"done": flag, "terminated": flag.clone()}
-    return TensorDict(values, batch_size=[count])
+    return TensorDict(values, batch_size=[count, agents])
 
 
-def make_buffer(capacity=8, batch_size=4, seed=0):
-    return make_replay_buffer(capacity, batch_size, device="cpu", generator=torch.Generator().manual_seed(seed))
+def make_buffer(capacity=8, batch_size=4, seeds=(0,)):
+    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+    return make_replay_buffer(capacity, batch_size, device="cpu", generators=generators)
 
 
 def test_the_buffer_keeps_the_latest_transitions_and_drops_the_oldest():
     buffer = make_buffer(capacity=8)
     for first in range(0, 12, 3):
         buffer.extend(numbered_transitions(first, 3))
-    assert sorted(buffer[:]["action"].tolist()) == list(range(4, 12))
+    assert sorted(buffer[:]["action"].flatten().tolist()) == list(range(4, 12))
 
 
 def test_sampled_transitions_stay_whole():
-    buffer = make_buffer(capacity=100, batch_size=64)
-    buffer.extend(numbered_transitions(0, 100))
+    buffer = make_buffer(capacity=100, batch_size=64, seeds=(0, 1))
+    buffer.extend(numbered_transitions(0, 100, agents=2))
     sample = buffer.sample()
-    assert torch.equal(sample["next", "reward"][:, 0], sample["action"] * 10.0)
+    assert sample.batch_size == (64, 2)
+    assert torch.equal(sample["next", "reward"][..., 0], sample["action"] * 10.0)
     assert torch.equal(sample["next", "observation"], sample["observation"] + 1)
 
 
 def test_sampling_follows_the_buffers_own_generator():
-    def draw(seed):
-        buffer = make_buffer(capacity=1000, batch_size=32, seed=seed)
-        buffer.extend(numbered_transitions(0, 1000))
+    def draw(*seeds):
+        buffer = make_buffer(capacity=1000, batch_size=32, seeds=seeds)
+        buffer.extend(numbered_transitions(0, 1000, agents=len(seeds)))
         return buffer.sample()["action"]
 
     first = draw(1)
     torch.rand(7)
     assert torch.equal(first, draw(1))
     assert not torch.equal(first, draw(2))
+
+
+def test_every_agent_samples_its_own_transitions_as_it_would_alone():
+    def draw(*seeds):
+        buffer = make_buffer(capacity=1000, batch_size=32, seeds=seeds)
+        buffer.extend(numbered_transitions(0, 1000, agents=len(seeds)))
+        return buffer.sample()["action"]
+
+    together = draw(1, 2)
+    assert torch.equal(together[:, 0], draw(1)[:, 0])
+    assert torch.equal(together[:, 1] - 1000, draw(2)[:, 0])
 
 
 def test_a_batch_larger_than_the_memory_is_refused():

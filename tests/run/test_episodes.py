@@ -7,7 +7,7 @@ from carrl.run.episodes import EpisodeTracker
 
 
 def batch(rewards, done, gates=None, steps=None):
-    """Transitions of N cars and T steps from nested lists [N][T]; every end is a collision."""
+    """Transitions of B cars and T steps from nested lists [B][T]; every end is a collision."""
     rewards, done = torch.tensor(rewards), torch.tensor(done)
     zeros = torch.zeros(rewards.shape, dtype=torch.int64)
     after = {
@@ -21,7 +21,7 @@ def batch(rewards, done, gates=None, steps=None):
 
 
 def test_episodes_are_numbered_by_when_they_begin():
-    tracker = EpisodeTracker(2, gates_per_lap=8)
+    tracker = EpisodeTracker(1, 2, gates_per_lap=8)
     first = batch([[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]])
     tracker.follow(first)
     assert first["episode"].tolist() == [[0, 0, 2], [1, 1, 1]]
@@ -32,9 +32,9 @@ def test_episodes_are_numbered_by_when_they_begin():
 
 
 def test_returns_sum_up_across_batches_and_begin_anew_after_an_end():
-    tracker = EpisodeTracker(2, gates_per_lap=8)
-    ended = tracker.follow(batch([[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]]))
-    ended += tracker.follow(batch([[4], [40]], [[True], [True]]))
+    tracker = EpisodeTracker(1, 2, gates_per_lap=8)
+    (ended,) = tracker.follow(batch([[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]]))
+    ended += tracker.follow(batch([[4], [40]], [[True], [True]]))[0]
     assert [(e.episode, e.env, e.episode_return, e.frame) for e in ended] == [
         (0, 0, 3.0, 4),
         (1, 1, 60.0, 6),
@@ -45,13 +45,28 @@ def test_returns_sum_up_across_batches_and_begin_anew_after_an_end():
 
 
 def test_laps_are_whole_rounds_of_gates():
-    tracker = EpisodeTracker(1, gates_per_lap=8)
-    (episode,) = tracker.follow(batch([[0.0]], [[True]], gates=[[17]], steps=[[345]]))
+    tracker = EpisodeTracker(1, 1, gates_per_lap=8)
+    ((episode,),) = tracker.follow(batch([[0.0]], [[True]], gates=[[17]], steps=[[345]]))
     assert (episode.gates, episode.laps, episode.length, episode.ended) == (17, 2, 345, "collision")
 
 
 def test_an_episode_that_is_cut_ended_by_the_time_limit():
     step = batch([[0.0]], [[True]])
     step["next", "terminated"] = torch.zeros(1, 1, 1, dtype=torch.bool)
-    (episode,) = EpisodeTracker(1, gates_per_lap=8).follow(step)
+    ((episode,),) = EpisodeTracker(1, 1, gates_per_lap=8).follow(step)
     assert episode.ended == "time limit"
+
+
+def test_every_agent_has_an_account_of_its_own():
+    alone = EpisodeTracker(1, 2, gates_per_lap=8)
+    together = EpisodeTracker(2, 2, gates_per_lap=8)
+    rewards, done = [[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]]
+    expected, all_four = batch(rewards, done), batch([*rewards, [5, 5, 5], [6, 6, 6]], [*done, [True] * 3, [False] * 3])
+    (ended,) = alone.follow(expected)
+    ended_of_first, ended_of_second = together.follow(all_four)
+    assert ended_of_first == ended
+    assert torch.equal(all_four[:2]["episode"], expected["episode"])
+    assert all_four[2:]["episode"].tolist() == [[0, 2, 3], [1, 1, 1]]
+    assert all_four[2:]["env"].tolist() == [[0, 0, 0], [1, 1, 1]]
+    assert [(e.episode, e.frame, e.length) for e in ended_of_second] == [(0, 2, 0), (2, 4, 0), (3, 6, 0)]
+    assert together.frames == 6

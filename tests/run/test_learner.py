@@ -2,6 +2,7 @@
 
 import logging
 import shutil
+from dataclasses import replace
 
 import pytest
 import torch
@@ -19,8 +20,9 @@ needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there i
 def make_pipeline(*overrides):
     """A pipeline whose buffer holds 800 transitions."""
     pipeline = build_pipeline(compose("seed=1", "target_updater.period=50", *overrides))
-    for _, batch in zip(range(100), pipeline.collector, strict=False):
-        pipeline.replay_buffer.extend(batch.reshape(-1).select(*KEYS))
+    agents = len(pipeline.agents)
+    for _, batch in zip(range(25), pipeline.collector, strict=False):
+        pipeline.replay_buffer.extend(batch.view(agents, -1).transpose(0, 1).select(*KEYS))
     return pipeline
 
 
@@ -30,26 +32,40 @@ def messages(caplog):
 
 
 def updated(pipeline, count=200):
-    """The losses of this many updates, each followed by the target updater."""
+    """The losses of this many updates, [count, A]."""
     losses = []
     for _ in range(count):
-        losses.append(pipeline.learner.update().item())
-        pipeline.target_updater.step()
-    return losses
+        pipeline.learner.learn(1)
+        losses.append(pipeline.learner.losses.tolist())
+    return torch.tensor(losses)
 
 
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("loss", ["dqn", "double_dqn"])
-def test_200_compiled_updates_equal_200_eager_ones(loss, caplog):
-    eager, compiled = make_pipeline(f"loss={loss}"), make_pipeline(f"loss={loss}", "compile=true")
-    assert updated(compiled) == pytest.approx(updated(eager), rel=1e-5)
+@pytest.mark.parametrize("overrides", [("loss=dqn",), ("loss=double_dqn", "trainer.seeds=[1,2]")], ids=" ".join)
+def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
+    eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
+    torch.testing.assert_close(updated(compiled), updated(eager), rtol=1e-5, atol=0)
     assert not any("eagerly" in message for message in messages(caplog))
-    for ours, theirs in zip(compiled.network.parameters(), eager.network.parameters(), strict=True):
-        assert ((ours - theirs).norm() / theirs.norm()).item() < 1e-5
-    targets = (pipeline.loss.target_value_network_params for pipeline in (compiled, eager))
-    assert all(torch.allclose(*pair, rtol=1e-5) for pair in zip(*(t.values(True, True) for t in targets), strict=True))
+    for ours, theirs in zip(compiled.agents, eager.agents, strict=True):
+        for name in ("value_network_params", "target_value_network_params"):
+            tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
+            for fused, plain in zip(*tensors, strict=True):
+                assert ((fused - plain).norm() / plain.norm()).item() < 1e-5
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit():
+    together = make_pipeline("loss=double_dqn", "trainer.seeds=[1,2]", "compile=true")
+    together.learner.learn(200)
+    for index, seed in enumerate((1, 2)):
+        alone = make_pipeline("loss=double_dqn", f"seed={seed}", "compile=true")
+        alone.learner.learn(200)
+        pairs = zip(together.agents[index].network.parameters(), alone.agents[0].network.parameters(), strict=True)
+        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
 
 
 @needs_compiler
@@ -67,7 +83,7 @@ def test_compiled_code_is_kept_between_runs(caplog):
 def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, caplog):
     monkeypatch.setenv("CXX", "no-such-compiler")
     losses = updated(make_pipeline("compile=true"), count=5)
-    assert losses == updated(make_pipeline(), count=5)
+    assert torch.equal(losses, updated(make_pipeline(), count=5))
     (message,) = messages(caplog)
     assert "cannot be compiled: no C++ compiler is installed" in message
 
@@ -82,13 +98,13 @@ def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, 
 )
 def test_another_optimizer_than_plain_adam_runs_eagerly(optimizer, reason, caplog):
     pipeline = make_pipeline()
-    learner = Learner(pipeline.loss, optimizer(list(pipeline.loss.parameters())), pipeline.replay_buffer, compiled=True)
-    before = [parameter.clone() for parameter in pipeline.network.parameters()]
-    for _ in range(3):
-        learner.update()
+    (agent,) = pipeline.agents
+    agent = replace(agent, optimizer=optimizer(list(agent.loss.parameters())))
+    before = [parameter.clone() for parameter in agent.network.parameters()]
+    Learner([agent], pipeline.replay_buffer, compiled=True).learn(3)
     (message,) = messages(caplog)
     assert reason in message
-    assert any((a != b).any() for a, b in zip(before, pipeline.network.parameters(), strict=True))
+    assert any((a != b).any() for a, b in zip(before, agent.network.parameters(), strict=True))
 
 
 def test_compiled_code_is_told_apart_by_every_constant_and_shape():

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from contextlib import ExitStack
 
 import pytest
 import torch
@@ -12,63 +13,75 @@ from carrl.log import load
 from carrl.record.writer import TransitionWriter
 from carrl.run.build import build_pipeline
 from carrl.run.folder import RunFolder
+from carrl.run.plan import TrainingPlan
 from carrl.run.trainer import Trainer
 from tests.configs import compose
 
 
 def train(folder, *overrides):
-    """A finished trainer and its pipeline."""
+    """A finished trainer and its pipeline; with several seeds their folders are named after them."""
     config = compose("env.num_envs=8", "trainer.frames=400", "evaluation.interval=1000", *overrides)
     pipeline = build_pipeline(config)
-    recorder = TransitionWriter(folder / "train.mcap", attachments={}, metadata={})
-    with RunFolder(folder, recorder) as run:
-        trainer = Trainer(pipeline, run)
+    with ExitStack() as stack:
+        folders = []
+        for agent in pipeline.agents:
+            path = folder / str(agent.seed) if len(pipeline.agents) > 1 else folder
+            path.mkdir(parents=True, exist_ok=True)
+            recorder = TransitionWriter(path / "train.mcap", attachments={}, metadata={})
+            folders.append(stack.enter_context(RunFolder(path, recorder)))
+        trainer = Trainer(pipeline, folders)
         trainer.run(lambda _: None)
     return trainer, pipeline
 
 
-def parameters(pipeline):
-    return torch.cat([parameter.detach().flatten() for parameter in pipeline.network.parameters()])
+def read_rows(path):
+    """A table without its times."""
+    with path.open() as file:
+        return [{key: value for key, value in row.items() if key != "wall_time_s"} for row in csv.DictReader(file)]
+
+
+def parameters(pipeline, agent=0):
+    network = pipeline.agents[agent].network
+    return torch.cat([parameter.detach().flatten() for parameter in network.parameters()])
 
 
 @pytest.mark.parametrize("num_envs", [1, 4, 8])
 def test_there_is_one_update_per_env_step_once_the_buffer_holds_a_batch(tmp_path, num_envs):
-    trainer, _ = train(tmp_path, f"env.num_envs={num_envs}", "replay_buffer.batch_size=32")
+    trainer, pipeline = train(tmp_path, f"env.num_envs={num_envs}", "replay_buffer.batch_size=32")
     # The round that fills the buffer to 32 transitions already learns, once for each of its own steps.
     assert trainer.frames == 400
-    assert trainer.updates == 400 - 32 + num_envs
+    assert pipeline.learner.updates == 400 - 32 + num_envs
 
 
 @pytest.mark.parametrize("num_envs", [1, 8])
 def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs):
     limits = ("trainer.frames=350", "evaluation.interval=1000")
     pipeline = build_pipeline(compose(f"env.num_envs={num_envs}", "target_updater.period=100", *limits))
-    seen = []
-    step, updater = 0, pipeline.target_updater
-    original = updater.step
+    agent = pipeline.agents[0]
+    steps, copies = [], []
+    original = agent.target_updater.step
 
-    def watched_step():
-        nonlocal step
-        before = pipeline.loss.target_value_network_params.clone()
-        original()
-        step += 1
-        if (pipeline.loss.target_value_network_params != before).any():
-            seen.append(step)
+    def watched_step(count):
+        before = agent.loss.target_value_network_params.clone()
+        original(count)
+        steps.append(count)
+        if (agent.loss.target_value_network_params != before).any():
+            copies.append(sum(steps))
 
-    updater.step = watched_step
+    agent.target_updater.step = watched_step
     with RunFolder(tmp_path) as folder:
-        trainer = Trainer(pipeline, folder)
+        trainer = Trainer(pipeline, [folder])
         trainer.run(lambda _: None)
     # At 100 steps no update has been made yet (a batch is 128), so the copy at C changes nothing there.
-    assert seen == [200, 300]
-    assert step == trainer.frames
+    assert copies == [200, 300]
+    assert sum(steps) == trainer.frames
 
 
 def test_the_log_holds_every_transition_that_the_learner_saw(tmp_path):
     trainer, pipeline = train(tmp_path)
     log = load(tmp_path / "train.mcap")
     assert len(log) == trainer.frames == 400
-    stored = pipeline.replay_buffer[:]
+    stored = pipeline.replay_buffer[:][:, 0]
     for key in (("observation",), ("action",), ("next", "observation"), ("next", "reward"), ("next", "terminated")):
         assert torch.equal(log[key], stored[key])
 
@@ -81,10 +94,10 @@ def test_the_log_tells_episodes_apart(tmp_path):
         assert torch.equal(episode["step"], torch.arange(len(episode)))
         assert len(episode["env"].unique()) == 1
         assert not episode["next", "done"][:-1].any()
-    assert int(log["next", "done"].sum()) == trainer.episodes
+    assert int(log["next", "done"].sum()) == trainer.runs[0].episodes
     with (tmp_path / "metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == trainer.episodes
+    assert len(rows) == trainer.runs[0].episodes
     for row in rows:
         episode = log[log["episode"] == int(row["episode"])]
         assert float(row["episode_return"]) == episode["next", "reward"].sum().item()
@@ -111,19 +124,45 @@ def test_the_same_seed_trains_the_same_network(tmp_path):
     assert not torch.equal(weights[0], parameters(other))
 
 
+@pytest.mark.parametrize("random_start", ["false", "true"])
+def test_two_agents_side_by_side_train_as_each_would_alone(tmp_path, random_start):
+    limits = ("trainer.frames=400", "evaluation.interval=200", f"env.random_start={random_start}")
+    _, together = train(tmp_path / "both", *limits, "trainer.seeds=[3,7]")
+    for index, seed in enumerate((3, 7)):
+        _, alone = train(tmp_path / f"alone {seed}", *limits, f"seed={seed}")
+        assert torch.equal(parameters(together, index), parameters(alone))
+        for name in ("metrics.csv", "evaluations.csv"):
+            ours, theirs = (read_rows(tmp_path / folder / name) for folder in (f"both/{seed}", f"alone {seed}"))
+            assert ours == theirs
+        ours, theirs = (load(tmp_path / folder / "train.mcap") for folder in (f"both/{seed}", f"alone {seed}"))
+        assert (ours == theirs).all()
+
+
+def test_an_agent_that_is_done_leaves_the_others_to_go_on(tmp_path):
+    limits = ("trainer.episodes=8", "trainer.frames=100000", "env.num_envs=1")
+    trainer, _ = train(tmp_path / "both", *limits, "trainer.seeds=[0,1]")
+    frames = [run.moment.frames for run in trainer.runs]
+    assert [run.episodes for run in trainer.runs] == [8, 8]
+    assert frames[0] != frames[1]
+    for seed, count in enumerate(frames):
+        alone, _ = train(tmp_path / f"alone {seed}", *limits, f"seed={seed}")
+        assert alone.frames == count == len(load(tmp_path / "both" / str(seed) / "train.mcap"))
+        assert alone.runs[0].last.measures() == trainer.runs[seed].last.measures()
+
+
 def test_the_run_ends_at_the_episode_limit(tmp_path):
     trainer, _ = train(tmp_path, "trainer.episodes=3", "trainer.frames=100000", "env.num_envs=1")
-    assert trainer.episodes == 3
+    assert trainer.runs[0].episodes == 3
     assert trainer.frames < 1000
 
 
 def test_stop_ends_the_run_after_the_round(tmp_path):
     pipeline = build_pipeline(compose("env.num_envs=4"))
     with RunFolder(tmp_path) as folder:
-        trainer = Trainer(pipeline, folder)
+        trainer = Trainer(pipeline, [folder])
         trainer.run(lambda running: running.stop() if running.frames >= 40 else None)
     assert trainer.frames == 40
-    assert trainer.last is not None
+    assert trainer.runs[0].last is not None
     assert (tmp_path / "checkpoints" / "last.pt").exists()
 
 
@@ -139,10 +178,30 @@ def test_a_loss_that_is_not_a_number_stops_the_run(tmp_path):
         train(tmp_path, "reward.gate=nan", "trainer.frames=3000", "env.random_start=true")
 
 
-@pytest.mark.parametrize("override", ["trainer.frames=0", "trainer.episodes=-1", "evaluation.interval=0", "seed=-1"])
+@pytest.mark.parametrize(
+    "override",
+    [
+        "trainer.frames=0",
+        "trainer.episodes=-1",
+        "evaluation.interval=0",
+        "seed=-1",
+        "seed=1.5",
+        "trainer.seeds=[]",
+        "trainer.seeds=[1,1]",
+        "trainer.seeds=[0,-1]",
+        "trainer.seeds=[0.5]",
+    ],
+)
 def test_limits_that_allow_nothing_are_refused(override):
-    with pytest.raises(ConfigError, match="must be"):
+    with pytest.raises(ConfigError, match="must be|must name"):
         build_pipeline(compose(override))
+
+
+def test_seeds_may_be_named_as_a_range():
+    assert TrainingPlan(1, 1, seeds=["0..3", 7]).agent_seeds(5) == [0, 1, 2, 3, 7]
+    assert TrainingPlan(1, 1).agent_seeds(5) == [5]
+    with pytest.raises(ConfigError, match=r"trainer.seeds has '3..1'; write seeds as"):
+        TrainingPlan(1, 1, seeds=["3..1"]).agent_seeds(5)
 
 
 def test_the_configuration_is_found():
