@@ -4,7 +4,7 @@ Shapes: `B` cars, `R` rays, `S` walls, `G` gates. Lengths are in metres, angles 
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import shapely
@@ -15,6 +15,9 @@ from carrl.sim.geometry import cross, path_clearance, ray_distances
 from carrl.sim.sensor import Sensor
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from carrl.sim.kernels import Kernels
 
 
 class State(NamedTuple):
@@ -51,15 +54,31 @@ class Simulator:
     """Any number of cars side by side on one track; they do not see each other.
 
     It holds no state of the cars: `start` and `step` return it.
+
+    Args:
+        track: where the cars drive.
+        vehicle: how they move.
+        sensor: what they see.
+        device: where the tensors live.
+        compiled: run the machine code of `carrl.sim.kernels` on the CPU, many times faster. Other devices, and False,
+            run the torch code below; the two agree to float32's rounding.
     """
 
-    def __init__(self, track: Track, vehicle: Vehicle, sensor: Sensor, device: torch.device | str = "cpu") -> None:
-        """Places the track's walls and gates and the sensor's rays on the device."""
+    def __init__(
+        self,
+        track: Track,
+        vehicle: Vehicle,
+        sensor: Sensor,
+        device: torch.device | str = "cpu",
+        compiled: bool = True,
+    ) -> None:
+        """Places walls, gates and rays on the device, and compiles where that was not done before."""
         self.track, self.vehicle, self.sensor = track, vehicle, sensor
         self.walls = track.walls.to(device)
         self.gates = track.gates.to(device)
         self.sensor_angles = sensor.angles.to(device)
         self._most_gates_per_step = _most_gates_per_step(track.gates, vehicle.step_length)
+        self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
 
     @property
     def device(self) -> torch.device:
@@ -80,6 +99,8 @@ class Simulator:
 
     def sense(self, pose: Tensor) -> Tensor:
         """Distances to the wall along each ray: poses [B, 3] to [B, R], float32, m, in [0, max_range]."""
+        if self._kernels:
+            return self._kernels.sense(pose)
         angles = pose[:, 2:].double() + self.sensor_angles.double()  # In float32 this sum alone can cost 0.1 mm.
         return ray_distances(pose[:, :2], angles, self.walls, self.sensor.max_range)
 
@@ -94,6 +115,9 @@ class Simulator:
             state: before the step.
             action: values of `Action`, [B], int64.
         """
+        if self._kernels:
+            *after_step, ranges, collided, passed = self._kernels.step(*state, action)
+            return Outcome(State(*after_step), ranges, collided, passed)
         pose = self.vehicle.move(state.pose, action)
         begin, end = state.pose[:, :2], pose[:, :2]
         collided = path_clearance(begin, end, self.walls) < self.vehicle.body_radius
@@ -118,6 +142,12 @@ class Simulator:
         station = self.track.station_near(state.pose[:, :2].cpu(), low, high)
         share = (station - start) / self.track.length
         return torch.where(passed >= self.track.gate_count, 1.0, share.clamp(0, 1))
+
+    def _load_kernels(self) -> "Kernels":
+        from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.
+
+        most_gates = self._most_gates_per_step
+        return Kernels(self.walls, self.gates, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
 
     def _count_gates(self, begin: Tensor, end: Tensor, next_gate: Tensor) -> Tensor:
         """Gates crossed forward and in order on the straight ways begin-end, [B], int64."""

@@ -27,9 +27,7 @@ def cast(x: float, y: float, *directions: float, walls: torch.Tensor, max_range:
 
 
 def assert_equal_to_the_oracle(track: Track, pose_count: int, sensor: Sensor, seed: int) -> None:
-    simulator = Simulator(track, Vehicle(), sensor)
     poses = random_poses(track, pose_count, seed)
-    ranges = simulator.sense(poses)
     walls = as_floats(track.walls)
     expected = torch.tensor(
         [
@@ -37,11 +35,13 @@ def assert_equal_to_the_oracle(track: Track, pose_count: int, sensor: Sensor, se
             for x, y, heading in poses.tolist()
         ]
     )
-    assert ranges.dtype == torch.float32
-    assert (ranges >= 0).all()
-    assert (ranges <= sensor.max_range).all()
     assert (expected < sensor.max_range).float().mean() > 0.2, "too few rays meet a wall to be a test"
-    torch.testing.assert_close(ranges, expected, atol=1e-4, rtol=0)
+    for compiled in (True, False):
+        ranges = Simulator(track, Vehicle(), sensor, compiled=compiled).sense(poses)
+        assert ranges.dtype == torch.float32
+        assert (ranges >= 0).all()
+        assert (ranges <= sensor.max_range).all()
+        torch.testing.assert_close(ranges, expected, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -146,10 +146,11 @@ def test_turning_and_moving_car_and_track_together_leaves_the_ranges_equal(seed,
     torch.testing.assert_close(after, before, atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
 @settings(exactly, max_examples=15)
 @given(st.integers(0, 19), st.integers(1, 40))
-def test_many_cars_at_once_read_what_each_reads_alone(seed, count):
-    simulator = Simulator(random_track(seed), Vehicle(), Sensor())
+def test_many_cars_at_once_read_what_each_reads_alone(compiled, seed, count):
+    simulator = Simulator(random_track(seed), Vehicle(), Sensor(), compiled=compiled)
     poses = random_poses(simulator.track, count, seed)
     alone = torch.cat([simulator.sense(pose[None]) for pose in poses])
     assert torch.equal(simulator.sense(poses), alone)

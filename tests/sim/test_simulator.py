@@ -25,8 +25,13 @@ UNDECIDED = 1e-3
 """Distances this close to the body radius, m, may fall to either side by the rounding of float32."""
 
 
-def simulator_of(track: Track, vehicle: Vehicle = SLOW_AND_AGILE) -> Simulator:
-    return Simulator(track, vehicle, Sensor(rays=1))
+@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "plain"])
+def compiled(request) -> bool:
+    return request.param
+
+
+def simulator_of(track: Track, vehicle: Vehicle = SLOW_AND_AGILE, compiled: bool = True) -> Simulator:
+    return Simulator(track, vehicle, Sensor(rays=1), compiled=compiled)
 
 
 def car(x: float, y: float, heading: float, next_gate: int = 0) -> State:
@@ -82,9 +87,9 @@ def test_a_path_through_the_joint_of_two_walls_has_no_clearance():
 
 @exactly
 @given(st.integers(0, 19), st.floats(-1, 5), st.floats(0.05, 2.0))
-def test_nothing_tunnels_at_any_speed(seed, magnitude, body_radius):
+def test_nothing_tunnels_at_any_speed(compiled: bool, seed, magnitude, body_radius):
     vehicle = Vehicle(speed=min(10**magnitude, 1e4), body_radius=body_radius)
-    simulator = simulator_of(random_track(seed), vehicle)
+    simulator = simulator_of(random_track(seed), vehicle, compiled=compiled)
     poses = random_poses(simulator.track, 60, seed)
     outcome = simulator.step(State(poses, *torch.zeros(2, 60, dtype=torch.int64)), torch.zeros(60, dtype=torch.int64))
     walls = as_floats(simulator.walls)
@@ -96,8 +101,8 @@ def test_nothing_tunnels_at_any_speed(seed, magnitude, body_radius):
 
 
 @pytest.mark.parametrize("speed", [10.0, 300.0, 1e4])
-def test_nothing_tunnels_on_a_real_circuit(real_circuits: Path, speed: float):
-    simulator = simulator_of(Track.load(real_circuits / "Norisring.csv"), Vehicle(speed=speed))
+def test_nothing_tunnels_on_a_real_circuit(compiled: bool, real_circuits: Path, speed: float):
+    simulator = simulator_of(Track.load(real_circuits / "Norisring.csv"), Vehicle(speed=speed), compiled=compiled)
     poses = random_poses(simulator.track, 200, seed=0)
     outcome = simulator.step(State(poses, *torch.zeros(2, 200, dtype=torch.int64)), torch.zeros(200, dtype=torch.int64))
     walls = as_floats(simulator.walls)
@@ -109,9 +114,9 @@ def test_nothing_tunnels_on_a_real_circuit(real_circuits: Path, speed: float):
 
 @pytest.mark.parametrize("speed", [10.0, 100.0, 1e4])
 @pytest.mark.parametrize("name", builtin_names())
-def test_a_car_that_never_collided_is_on_the_road_whatever_it_did(name: str, speed: float):
+def test_a_car_that_never_collided_is_on_the_road_whatever_it_did(compiled: bool, name: str, speed: float):
     track = Track.load(name)
-    simulator = simulator_of(track, Vehicle(speed=speed))
+    simulator = simulator_of(track, Vehicle(speed=speed), compiled=compiled)
     rings = [Polygon(side.double().numpy()) for side in (track.left_wall, track.right_wall)]
     road = rings[0].symmetric_difference(rings[1])
     generator = torch.Generator().manual_seed(0)
@@ -124,13 +129,15 @@ def test_a_car_that_never_collided_is_on_the_road_whatever_it_did(name: str, spe
 
 
 @pytest.mark.parametrize(("y", "collided"), [(0.0, False), (4.49, False), (4.51, True), (-4.49, False), (-4.51, True)])
-def test_coming_within_the_body_radius_of_a_wall_collides(y: float, collided: bool):
-    outcome = simulator_of(straight_road_track(width=10.0)).step(car(50.0, y, 0.0), FORWARD)
+def test_coming_within_the_body_radius_of_a_wall_collides(compiled: bool, y: float, collided: bool):
+    outcome = simulator_of(straight_road_track(width=10.0), compiled=compiled).step(car(50.0, y, 0.0), FORWARD)
     assert outcome.collided.item() is collided
 
 
-def test_a_step_out_through_one_wall_and_the_next_collides_though_it_ends_far_away():
-    outcome = simulator_of(straight_road_track(), Vehicle(speed=1e4)).step(car(50.0, 0.0, math.pi / 2), FORWARD)
+def test_a_step_out_through_one_wall_and_the_next_collides_though_it_ends_far_away(compiled: bool):
+    outcome = simulator_of(straight_road_track(), Vehicle(speed=1e4), compiled=compiled).step(
+        car(50.0, 0.0, math.pi / 2), FORWARD
+    )
     assert outcome.state.pose[0, 1].item() == pytest.approx(1000.0)
     assert outcome.collided.item()
 
@@ -138,10 +145,10 @@ def test_a_step_out_through_one_wall_and_the_next_collides_though_it_ends_far_aw
 # Gates
 
 
-def test_a_gate_counts_once_when_crossed_forward_and_the_following_one_counts_next():
+def test_a_gate_counts_once_when_crossed_forward_and_the_following_one_counts_next(compiled: bool):
     track = straight_road_track()
     gate_x = track.gates[0, :, 0].mean().item()
-    simulator = simulator_of(track)
+    simulator = simulator_of(track, compiled=compiled)
     before = simulator.step(car(gate_x - 1.2, 1.0, 0.0), FORWARD)
     assert (before.gates_passed.item(), before.state.next_gate.item()) == (0, 0)
     outcome = simulator.step(car(gate_x - 0.2, 1.0, 0.0), FORWARD)
@@ -151,10 +158,10 @@ def test_a_gate_counts_once_when_crossed_forward_and_the_following_one_counts_ne
     assert (after.gates_passed.item(), after.state.gates_passed.item()) == (0, 1)
 
 
-def test_going_back_and_forth_over_a_gate_earns_nothing_more():
+def test_going_back_and_forth_over_a_gate_earns_nothing_more(compiled: bool):
     track = straight_road_track()
     gate_x = track.gates[0, :, 0].mean().item()
-    simulator, state = simulator_of(track), car(gate_x - 0.2, 0.0, 0.0)
+    simulator, state = simulator_of(track, compiled=compiled), car(gate_x - 0.2, 0.0, 0.0)
     earned = []
     for turn in range(20):
         back_and_forth = torch.tensor([[gate_x - 0.2, 0.0, 0.0], [gate_x + 0.2, 0.0, math.pi]])[turn % 2]
@@ -164,48 +171,48 @@ def test_going_back_and_forth_over_a_gate_earns_nothing_more():
     assert earned == [1] + [0] * 19
 
 
-def test_a_gate_crossed_backward_does_not_count_even_if_it_is_the_next():
+def test_a_gate_crossed_backward_does_not_count_even_if_it_is_the_next(compiled: bool):
     track = straight_road_track()
     gate_x = track.gates[0, :, 0].mean().item()
-    outcome = simulator_of(track).step(car(gate_x + 0.2, 0.0, math.pi), FORWARD)
+    outcome = simulator_of(track, compiled=compiled).step(car(gate_x + 0.2, 0.0, math.pi), FORWARD)
     assert outcome.gates_passed.item() == 0
 
 
-def test_crossing_the_line_of_a_gate_beyond_its_ends_does_not_count():
+def test_crossing_the_line_of_a_gate_beyond_its_ends_does_not_count(compiled: bool):
     track = straight_road_track(width=10.0)
     gate_x = track.gates[0, :, 0].mean().item()
     for y in (-8.0, 8.0, 30.0):  # outside the road, clear of the walls
-        outcome = simulator_of(track).step(car(gate_x - 0.2, y, 0.0), FORWARD)
+        outcome = simulator_of(track, compiled=compiled).step(car(gate_x - 0.2, y, 0.0), FORWARD)
         assert not outcome.collided.item()
         assert outcome.gates_passed.item() == 0
 
 
 @pytest.mark.parametrize("next_gate", range(4))
-def test_several_gates_crossed_in_one_step_count_in_order_from_the_next_one(next_gate: int):
+def test_several_gates_crossed_in_one_step_count_in_order_from_the_next_one(compiled: bool, next_gate: int):
     track = straight_road_track(gate_count=32)
     xs = track.gates[:4, :, 0].mean(dim=1).tolist()
     begin, end = xs[0] - 1, xs[2] + 1
     vehicle = Vehicle(speed=end - begin, time_step=1.0)
-    outcome = simulator_of(track, vehicle).step(car(begin, 0.0, 0.0, next_gate), FORWARD)
+    outcome = simulator_of(track, vehicle, compiled=compiled).step(car(begin, 0.0, 0.0, next_gate), FORWARD)
     assert not outcome.collided.item()
     assert outcome.gates_passed.item() == 3 - next_gate
     assert outcome.state.next_gate.item() == 3
 
 
-def test_the_last_gate_and_the_first_count_together_in_one_step():
+def test_the_last_gate_and_the_first_count_together_in_one_step(compiled: bool):
     track = straight_road_track(gate_count=32)
     first_x = track.gates[0, :, 0].mean().item()
     vehicle = Vehicle(speed=first_x + 4, time_step=1.0)
-    outcome = simulator_of(track, vehicle).step(car(-2.0, 0.0, 0.0, next_gate=31), FORWARD)
+    outcome = simulator_of(track, vehicle, compiled=compiled).step(car(-2.0, 0.0, 0.0, next_gate=31), FORWARD)
     assert outcome.gates_passed.item() == 2
     assert outcome.state.next_gate.item() == 1
 
 
-def test_a_step_that_collides_passes_no_gate():
+def test_a_step_that_collides_passes_no_gate(compiled: bool):
     track = straight_road_track(gate_count=32)
     gate_x = track.gates[0, :, 0].mean().item()
-    grazing = simulator_of(track).step(car(gate_x - 0.2, 4.6, 0.0), FORWARD)
-    far = simulator_of(track, Vehicle(speed=1e4)).step(car(gate_x - 0.2, 0.0, 0.0), FORWARD)
+    grazing = simulator_of(track, compiled=compiled).step(car(gate_x - 0.2, 4.6, 0.0), FORWARD)
+    far = simulator_of(track, Vehicle(speed=1e4), compiled=compiled).step(car(gate_x - 0.2, 0.0, 0.0), FORWARD)
     for outcome in (grazing, far):
         assert outcome.collided.item()
         assert outcome.gates_passed.item() == 0
@@ -214,9 +221,9 @@ def test_a_step_that_collides_passes_no_gate():
 
 @exactly
 @given(st.integers(0, 10**6), st.floats(1, 1500), st.integers(3, 150))
-def test_the_count_of_gates_equals_that_of_one_crossing_at_a_time(seed, speed, gate_count):
+def test_the_count_of_gates_equals_that_of_one_crossing_at_a_time(compiled: bool, seed, speed, gate_count):
     track = straight_road_track(gate_count=gate_count)
-    simulator = simulator_of(track, Vehicle(speed=speed, body_radius=0.01))
+    simulator = simulator_of(track, Vehicle(speed=speed, body_radius=0.01), compiled=compiled)
     generator = torch.Generator().manual_seed(seed)
     start = simulator.start(track.length * torch.rand(30, generator=generator))
     turned = start._replace(pose=start.pose + 0.1 * torch.randn(30, 3, generator=generator))
@@ -342,8 +349,8 @@ def test_a_car_started_just_short_of_a_gate_on_a_real_circuit_has_not_passed_its
 # The simulator as a function
 
 
-def test_the_same_call_twice_gives_the_same_result_and_leaves_its_inputs_alone():
-    simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
+def test_the_same_call_twice_gives_the_same_result_and_leaves_its_inputs_alone(compiled: bool):
+    simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
     state = simulator.start(torch.linspace(0, 200, 16))
     kept = [tensor.clone() for tensor in state]
     action = torch.arange(16) % 3
@@ -356,8 +363,8 @@ def test_the_same_call_twice_gives_the_same_result_and_leaves_its_inputs_alone()
 
 @exactly
 @given(st.integers(0, 19), st.integers(1, 20), st.floats(1, 2000))
-def test_cars_side_by_side_fare_as_each_does_alone(seed, count, speed):
-    simulator = Simulator(random_track(seed), Vehicle(speed=speed), Sensor())
+def test_cars_side_by_side_fare_as_each_does_alone(compiled: bool, seed, count, speed):
+    simulator = Simulator(random_track(seed), Vehicle(speed=speed), Sensor(), compiled=compiled)
     generator = torch.Generator().manual_seed(seed)
     state = simulator.start(simulator.track.length * torch.rand(count, generator=generator))
     action = torch.randint(0, 3, (count,), generator=generator)
@@ -368,8 +375,8 @@ def test_cars_side_by_side_fare_as_each_does_alone(seed, count, speed):
         assert all(torch.equal(a[index], b[0]) for a, b in zip(together[1:], alone[1:], strict=True))
 
 
-def test_a_step_reports_the_ranges_of_the_pose_it_ends_in_and_the_stated_types():
-    simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
+def test_a_step_reports_the_ranges_of_the_pose_it_ends_in_and_the_stated_types(compiled: bool):
+    simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
     outcome = simulator.step(simulator.start(torch.zeros(2)), torch.tensor([0, 1]))
     assert torch.equal(outcome.ranges, simulator.sense(outcome.state.pose))
     assert outcome.ranges.shape == (2, 7)
@@ -377,8 +384,8 @@ def test_a_step_reports_the_ranges_of_the_pose_it_ends_in_and_the_stated_types()
     assert [tensor.dtype for tensor in outcome[1:]] == [torch.float32, torch.bool, torch.int64]
 
 
-def test_no_cars_at_all_make_an_empty_step():
-    simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
+def test_no_cars_at_all_make_an_empty_step(compiled: bool):
+    simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
     outcome = simulator.step(simulator.start(torch.zeros(0)), torch.zeros(0, dtype=torch.int64))
     assert outcome.ranges.shape == (0, 7)
     assert simulator.progress(outcome.state, torch.zeros(0)).shape == (0,)
