@@ -1,10 +1,13 @@
 """CarRL trains a car to drive from a handful of distance sensors."""
 
 import importlib
+import time
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
+_IMPORTED_AT = time.monotonic()
+
+import gymnasium  # noqa: E402 (takes long enough to count as start-up)
 
 if TYPE_CHECKING:
     from carrl import log

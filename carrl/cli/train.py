@@ -6,7 +6,6 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +70,6 @@ def _train(config: DictConfig) -> None:
         raise ConfigError(f"threads is {values['threads']}; it must be a whole number of at least 1")
     torch.set_num_threads(values["threads"])
     path = Path(HydraConfig.get().runtime.output_dir)
-    began = datetime.now(UTC)
     pipeline = build_pipeline(values)
     plan = pipeline.plan
     with ExitStack() as stack:
@@ -80,7 +78,7 @@ def _train(config: DictConfig) -> None:
         with _stopping_on_signals(trainer) as interrupted, TrainingDisplay(plan.frames, plan.episodes) as display:
             trainer.run(display)
     for run in trainer.runs:
-        summary = summarise(run, began, pipeline.learner.first_update_s, track=pipeline.world.track.name)
+        summary = summarise(run, trainer, track=pipeline.world.track.name)
         run.folder.write_summary(summary)
         _draw(pipeline.world, run)
         print_summary(summary, run.folder.path)

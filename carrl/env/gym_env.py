@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 
+from carrl.env.observation import FIRST_ACTION
 from carrl.env.reward import TERMS, Reward
 from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
@@ -70,6 +71,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         super().reset(seed=seed)
         station = self.np_random.uniform(0, self.simulator.track.length) if self.random_start else 0.0
         self._state = self.simulator.start(torch.tensor([station], dtype=torch.float64))
+        self._last_action = torch.tensor([int(FIRST_ACTION)])
         observation = self.simulator.sense(self._state.pose) / self.simulator.sensor.max_range
         return observation[0].numpy(), self._info(self._state)
 
@@ -77,10 +79,12 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         """Drives one time step; terminates on a collision and never truncates by itself."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
-        outcome = self.simulator.step(self._state, torch.tensor([int(action)]))
+        taken = torch.tensor([int(action)])
+        outcome = self.simulator.step(self._state, taken)
         self._state = outcome.state
         observation = outcome.ranges / self.simulator.sensor.max_range
-        terms = self.reward.terms(observation, outcome.collided, outcome.gates_passed)[0]
+        terms = self.reward.terms(observation, outcome.collided, outcome.gates_passed, taken, self._last_action)[0]
+        self._last_action = taken
         info = self._info(outcome.state) | dict(zip(TERMS, terms.tolist(), strict=True))
         return observation[0].numpy(), terms.sum().item(), bool(outcome.collided), False, info
 

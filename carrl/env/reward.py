@@ -1,4 +1,4 @@
-"""The paper's reward, term by term.
+"""The paper's reward, term by term, and one of our own for smooth driving.
 
 Shapes: `B` cars.
 
@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-TERMS = ("collision", "proximity", "gate")
-"""The order of the terms in every tensor of them."""
+from carrl.sim.vehicle import Action
+
+TERMS = ("collision", "proximity", "gate", "steering")
+"""The order of the terms in every tensor of them; the paper has all but the last."""
 
 
 @dataclass(frozen=True)
@@ -23,28 +25,48 @@ class Reward:
         proximity: for any sensor reading below `proximity_threshold`; not on top of a collision.
         gate: for each gate passed.
         proximity_threshold: as a share of the sensor's range, 0..1.
+        turn: for each action left or right; not the paper's.
+        switch: for each action that is another than the last one; not the paper's.
     """
 
     collision: float = -200.0
     proximity: float = -20.0
     gate: float = 50.0
     proximity_threshold: float = 0.1
+    turn: float = 0.0
+    switch: float = 0.0
 
-    def is_near_wall(self, observation: Tensor) -> Tensor:
+    def is_near_wall(self, readings: Tensor) -> Tensor:
         """Whether any sensor reads below the threshold: [B, R] in 0..1 to [B] bool."""
-        return observation.amin(dim=-1) < self.proximity_threshold
+        return readings.amin(dim=-1) < self.proximity_threshold
 
-    def terms(self, observation: Tensor, collided: Tensor, gates_passed: Tensor) -> Tensor:
+    def terms(
+        self, readings: Tensor, collided: Tensor, gates_passed: Tensor, action: Tensor, last_action: Tensor
+    ) -> Tensor:
         """The reward of a step, split into `TERMS`; the reward is their sum.
 
         Args:
-            observation: what the sensors read after the step, [B, R], in 0..1.
+            readings: of the sensors after the step, [B, R], in 0..1.
             collided: [B], bool.
             gates_passed: in this step, [B], int64.
+            action: that the step was made with, [B], int64.
+            last_action: the one before, [B], int64.
 
         Returns:
-            [B, 3], float32.
+            [B, 4], float32.
         """
-        near = self.is_near_wall(observation) & ~collided
-        counts = torch.stack([collided, near, gates_passed], dim=-1).to(observation.dtype)
-        return counts * counts.new_tensor([self.collision, self.proximity, self.gate])
+        near = self.is_near_wall(readings) & ~collided
+        counts = torch.stack([collided, near, gates_passed], dim=-1).to(readings.dtype)
+        paper = counts * counts.new_tensor([self.collision, self.proximity, self.gate])
+        steering = self.turn * (action != Action.FORWARD) + self.switch * (action != last_action)
+        return torch.cat([paper, steering[..., None].to(paper.dtype)], dim=-1)
+
+    @staticmethod
+    def of_paper(terms: Tensor) -> Tensor:
+        """The sum of the paper's terms: [..., 4] to [...]."""
+        return terms[..., :-1].sum(dim=-1)
+
+    @staticmethod
+    def of_steering(terms: Tensor) -> Tensor:
+        """What the paper's terms leave: [..., 4] to [...]."""
+        return terms[..., -1]

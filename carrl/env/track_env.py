@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from carrl.env.observation import FIRST_ACTION, observation_size, observe
 from carrl.env.reward import TERMS, Reward
 from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
@@ -24,14 +25,15 @@ class TrackEnv(EnvBase):
 
     | key | shape, type | meaning |
     |---|---|---|
-    | `observation` | [N, R] float32 | distance along each ray / range, 0..1, right to left |
+    | `observation` | [N, R] float32 | distance along each ray / range, 0..1, right to left; see `observe_action` |
     | `action` | [N] int64 | 0 forward, 1 left, 2 right |
     | `reward` | [N, 1] float32 | sum of `reward_terms` |
-    | `reward_terms` | [N, 3] float32 | collision, proximity, gate; zero after a reset |
+    | `reward_terms` | [N, 4] float32 | collision, proximity, gate, steering; zero after a reset |
     | `terminated` | [N, 1] bool | the car touched a wall |
     | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
+    | `last_action` | [N] int64 | of the step before; forward after a reset |
 
     The state of the cars travels in the TensorDict; the environment keeps only its random generators, which drive
     random starts and `rand_action`. The same seed gives the same rollout, whatever other code draws from torch.
@@ -47,6 +49,7 @@ class TrackEnv(EnvBase):
         reward: what a step earns.
         max_steps: length at which an episode is truncated, steps.
         random_start: start anywhere along the centreline instead of on the start line.
+        observe_action: append the last action to the observation, one-hot: [N, R + 3].
 
     Raises:
         TrackError: the track cannot be loaded.
@@ -65,6 +68,7 @@ class TrackEnv(EnvBase):
         reward: Reward | None = None,
         max_steps: int = 1000,
         random_start: bool = False,
+        observe_action: bool = False,
     ) -> None:
         """Builds the simulator and declares the specs."""
         if num_envs < 1:
@@ -77,6 +81,7 @@ class TrackEnv(EnvBase):
         super().__init__(device=device, batch_size=[num_envs * len(seeds)])
         self.max_steps = max_steps
         self.random_start = random_start
+        self.observe_action = observe_action
         self.reward = reward or Reward()
         track = track if isinstance(track, Track) else Track.load(track)
         self.simulator = Simulator(track, vehicle or Vehicle(), sensor or Sensor(), self.device)
@@ -130,11 +135,14 @@ class TrackEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = State(tensordict["pose"], tensordict["next_gate"], tensordict["gates_passed"])
         outcome = self.simulator.step(before, tensordict["action"])
-        observation = outcome.ranges / self.sensor_range
-        reward_terms = self.reward.terms(observation, outcome.collided, outcome.gates_passed)
+        action = tensordict["action"]
+        readings = outcome.ranges / self.sensor_range
+        reward_terms = self.reward.terms(
+            readings, outcome.collided, outcome.gates_passed, action, tensordict["last_action"]
+        )
         step = tensordict["step"] + 1
         truncated = (step >= self.max_steps) & ~outcome.collided
-        after = self._pack(outcome.state, observation, reward_terms, step)
+        after = self._pack(outcome.state, readings, reward_terms, step, action)
         return after.update(
             {
                 "reward": reward_terms.sum(dim=-1, keepdim=True),
@@ -151,19 +159,25 @@ class TrackEnv(EnvBase):
     def _start(self, stations: Tensor) -> TensorDict:
         """The cars at the start of an episode, not done: stations [N], m."""
         state = self.simulator.start(stations)
-        observation = self.simulator.sense(state.pose) / self.sensor_range
-        terms = observation.new_zeros(*self.batch_size, len(TERMS))
+        readings = self.simulator.sense(state.pose) / self.sensor_range
+        terms = readings.new_zeros(*self.batch_size, len(TERMS))
+        first_action = torch.full_like(state.next_gate, FIRST_ACTION)
         not_done = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
-        return self._pack(state, observation, terms, torch.zeros_like(state.next_gate)).update(
+        return self._pack(state, readings, terms, torch.zeros_like(state.next_gate), first_action).update(
             {"done": not_done, "terminated": not_done.clone(), "truncated": not_done.clone()}
         )
 
-    def _pack(self, state: State, observation: Tensor, reward_terms: Tensor, step: Tensor) -> TensorDict:
-        return TensorDict(
-            {"observation": observation, "reward_terms": reward_terms, "step": step, **state._asdict()},
-            batch_size=self.batch_size,
-            device=self.device,
-        )
+    def _pack(
+        self, state: State, readings: Tensor, reward_terms: Tensor, step: Tensor, last_action: Tensor
+    ) -> TensorDict:
+        values = {
+            "observation": observe(readings, last_action, self.observe_action),
+            "reward_terms": reward_terms,
+            "step": step,
+            "last_action": last_action.clone(),
+            **state._asdict(),
+        }
+        return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _declare_specs(self) -> None:
         cars = self.batch_size[0]
@@ -174,10 +188,11 @@ class TrackEnv(EnvBase):
             "next_gate": Categorical(self.track.gate_count, shape=(cars,), dtype=torch.int64, **options),
             "gates_passed": count,
             "step": count.clone(),
+            "last_action": Categorical(len(Action), shape=(cars,), dtype=torch.int64, **options),
         }
-        rays = self.simulator.sensor.rays
+        size = observation_size(self.simulator.sensor.rays, self.observe_action)
         self.observation_spec = Composite(
-            observation=Bounded(0.0, 1.0, shape=(cars, rays), dtype=torch.float32, **options),
+            observation=Bounded(0.0, 1.0, shape=(cars, size), dtype=torch.float32, **options),
             reward_terms=Unbounded((cars, len(TERMS)), dtype=torch.float32, **options),
             **state,
             shape=(cars,),

@@ -64,11 +64,25 @@ class Column:
 _POSE = "x m, y m, heading rad counter-clockwise from +x, before the action"
 _DISTANCES = "distance to the wall along each ray / sensor range, 0..1"
 COLUMNS = (
-    Column("observation", "observation", "<f4", "float32", (RAYS,), f"{_DISTANCES}, before the action"),
+    Column(
+        "observation",
+        "observation",
+        "<f4",
+        "float32",
+        (RAYS,),
+        f"{_DISTANCES}, before the action; then the last action, if observed",
+    ),
     Column("action", "action", "<i4", "int64", (), "0 forward, 1 left, 2 right"),
     Column("reward", ("next", "reward"), "<f4", "float32", (1,), "sum of the reward terms"),
-    Column("reward_terms", ("next", "reward_terms"), "<f4", "float32", (3,), "collision, proximity, gate"),
-    Column("next_observation", ("next", "observation"), "<f4", "float32", (RAYS,), f"{_DISTANCES}, after the action"),
+    Column("reward_terms", ("next", "reward_terms"), "<f4", "float32", (4,), "collision, proximity, gate, steering"),
+    Column(
+        "next_observation",
+        ("next", "observation"),
+        "<f4",
+        "float32",
+        (RAYS,),
+        f"{_DISTANCES}, after the action; then that action, if observed",
+    ),
     Column("terminated", ("next", "terminated"), "|b1", "bool", (1,), "the episode ended here, in a terminal state"),
     Column("truncated", ("next", "truncated"), "|b1", "bool", (1,), "the episode was cut here, in no terminal state"),
     Column("episode", "episode", "<i8", "int64", (), "number of the episode within the run"),

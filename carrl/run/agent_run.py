@@ -84,5 +84,6 @@ class AgentRun:
 
 
 def _quality(attempt: Drive) -> tuple[float, ...]:
-    """Orders drives: complete laps first, then by progress, reward and the share of driving straight."""
-    return (attempt.lap_completed, attempt.progress, attempt.lap_reward, attempt.forward_share)
+    """Orders drives: complete laps first, then by progress, reward and how they steer."""
+    steering = (attempt.steering_reward, attempt.forward_share)
+    return (attempt.lap_completed, attempt.progress, attempt.lap_reward, *steering)

@@ -14,6 +14,7 @@ from torchrl.modules import QValueActor
 from carrl.agent.exploration import ExponentialEpsilonGreedy
 from carrl.agent.policy import GreedyPolicy
 from carrl.config import build_node
+from carrl.env.observation import observation_size
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
@@ -75,7 +76,7 @@ def build_pipeline(config: Config) -> Pipeline:
         seed=[_part_seed(seed, "env") for seed in seeds],
     )
     agents = [_build_agent(config, seed, device) for seed in seeds]
-    policy = GreedyPolicy([agent.network for agent in agents])
+    policy = GreedyPolicy([agent.network for agent in agents], observes_action(config))
     exploration = build_node(
         "exploration",
         config["exploration"],
@@ -130,10 +131,15 @@ def build_network(config: Config, generator: torch.Generator | None = None) -> Q
     return build_node(
         "network",
         config["network"],
-        observation_size=config["sensor"]["rays"],
+        observation_size=observation_size(config["sensor"]["rays"], observes_action(config)),
         action_count=len(Action),
         generator=generator or torch.Generator(),
     )
+
+
+def observes_action(config: Config) -> bool:
+    """Whether the network reads the last action, too."""
+    return _checked_flag("env.observe_action", config["env"]["observe_action"])
 
 
 def _checked_device(name: str) -> torch.device:

@@ -13,13 +13,14 @@ from torch import Tensor
 from torchrl.modules import QValueActor
 
 from carrl.agent.policy import GreedyPolicy
+from carrl.env.observation import FIRST_ACTION
 from carrl.env.reward import Reward
 from carrl.errors import ConfigError
 from carrl.sim.simulator import Outcome, Simulator, State
 from carrl.sim.vehicle import Action
 
-Policy = Callable[[Tensor], Tensor]
-"""Observations [B, R] in 0..1, right to left, to values of `Action` [B]."""
+Policy = Callable[[Tensor, Tensor], Tensor]
+"""Readings of the sensors [B, R], in 0..1, right to left, and last actions [B] to the next values of `Action` [B]."""
 
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
@@ -34,7 +35,8 @@ class Drive:
         lap_completed: all gates passed in order.
         collided: it touched a wall.
         progress: share of the lap driven, in [0, 1].
-        lap_reward: sum of the rewards.
+        lap_reward: sum of the paper's rewards.
+        steering_reward: sum of what turns and switches earn beside it.
         lap_steps: steps driven.
         forward_share: share of the steps with the action forward.
         switches_per_100m: how often the action changed, per 100 m driven.
@@ -49,6 +51,7 @@ class Drive:
     collided: bool
     progress: float
     lap_reward: float
+    steering_reward: float
     lap_steps: int
     forward_share: float
     switches_per_100m: float
@@ -63,15 +66,15 @@ class Drive:
         return {name: value for name, value in vars(self).items() if name not in arrays}
 
 
-def greedy_policy(network: QValueActor) -> Policy:
+def greedy_policy(network: QValueActor, observe_action: bool) -> Policy:
     """The action of the highest value."""
-    return GreedyPolicy([network]).actions
+    return GreedyPolicy([network], observe_action).actions
 
 
-def rule_policy(observation: Tensor) -> Tensor:
+def rule_policy(readings: Tensor, _: Tensor) -> Tensor:
     """The hand-written baseline: steer to the side whose rays are longer in sum, unless they differ by little."""
-    half = observation.shape[1] // 2
-    to_left = observation[:, -half:].sum(-1) - observation[:, :half].sum(-1)
+    half = readings.shape[1] // 2
+    to_left = readings[:, -half:].sum(-1) - readings[:, :half].sum(-1)
     dead_band = 0.05
     turn = torch.where(to_left > 0, int(Action.LEFT), int(Action.RIGHT))
     return torch.where(to_left.abs() > dead_band, turn, int(Action.FORWARD))
@@ -80,9 +83,7 @@ def rule_policy(observation: Tensor) -> Tensor:
 def random_policy(seed: int) -> Policy:
     """Actions drawn evenly, the same for the same seed."""
     generator = torch.Generator().manual_seed(seed)
-    return lambda observation: torch.randint(len(Action), observation.shape[:1], generator=generator).to(
-        observation.device
-    )
+    return lambda readings, _: torch.randint(len(Action), readings.shape[:1], generator=generator).to(readings.device)
 
 
 def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1) -> list[Drive]:
@@ -102,10 +103,10 @@ def drive_from(simulator: Simulator, reward: Reward, policy: Policy, stations: T
     state = simulator.start(stations)
     ranges = simulator.sense(state.pose)
     nothing = torch.zeros_like(state.next_gate)
-    outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], []
+    outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], [nothing + FIRST_ACTION]
     driving = ~nothing.bool()
     for _ in range(round(TIME_LIMIT_LAPS * simulator.lap_steps)):
-        action = policy(outcomes[-1].ranges / simulator.sensor.max_range)
+        action = policy(outcomes[-1].ranges / simulator.sensor.max_range, actions[-1])
         outcome = simulator.step(outcomes[-1].state, action)
         actions.append(action)
         outcomes.append(outcome)
@@ -126,19 +127,22 @@ def _stack(outcomes: list[Outcome]) -> Outcome:
 
 
 def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Reward, stations: Tensor) -> list[Drive]:
-    """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
-    limit = len(actions)
+    """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that.
+
+    Of the actions [T + 1, B] the first is the one that counts as before the start.
+    """
+    limit = len(actions) - 1
     ended = _has_ended(course, simulator)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limit)
     last = (lengths, torch.arange(len(lengths), device=lengths.device))
-    observation = course.ranges / simulator.sensor.max_range
-    near = reward.is_near_wall(observation)
-    rewards = reward.terms(observation, course.collided, course.gates_passed).sum(-1)
+    readings = course.ranges[1:] / simulator.sensor.max_range
+    near = reward.is_near_wall(readings)
+    terms = reward.terms(readings, course.collided[1:], course.gates_passed[1:], actions[1:], actions[:-1])
     state = State(*(values[last] for values in course.state))
     progress = simulator.progress(state, stations).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
-        driven = actions[:steps, car]
+        driven = actions[1 : steps + 1, car]
         switches = (driven[1:] != driven[:-1]).sum().item()
         drives.append(
             Drive(
@@ -146,11 +150,12 @@ def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Rewa
                 lap_completed=bool(state.gates_passed[car] >= simulator.track.gate_count),
                 collided=bool(course.collided[steps, car]),
                 progress=progress[car],
-                lap_reward=rewards[1 : steps + 1, car].sum().item(),
+                lap_reward=reward.of_paper(terms)[:steps, car].sum().item(),
+                steering_reward=reward.of_steering(terms)[:steps, car].sum().item(),
                 lap_steps=steps,
                 forward_share=(driven == Action.FORWARD).double().mean().item(),
                 switches_per_100m=100 * switches / (steps * simulator.vehicle.step_length),
-                near_wall_share=near[1 : steps + 1, car].double().mean().item(),
+                near_wall_share=near[:steps, car].double().mean().item(),
                 poses=course.state.pose[: steps + 1, car].cpu().numpy(),
                 ranges=course.ranges[: steps + 1, car].cpu().numpy(),
                 actions=driven.cpu().numpy(),

@@ -23,7 +23,7 @@ from tensordict import TensorDictBase
 
 from carrl.errors import CarrlError, CheckpointError
 from carrl.record.writer import TransitionWriter
-from carrl.run.build import build_network
+from carrl.run.build import build_network, observes_action
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.episodes import Episode
 from carrl.run.evaluation import Drive, Policy, greedy_policy
@@ -36,7 +36,7 @@ EVALUATIONS = "evaluations.csv"
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 LAP = "lap.png"
-_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "network", "seed")
+_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
 MAX_TEXT_BYTES = 64 * 2**20
 
 
@@ -134,7 +134,7 @@ def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any]) -> Po
         network.load_state_dict(state)
     except (RuntimeError, TypeError, AttributeError) as error:
         raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}") from error
-    return greedy_policy(network)
+    return greedy_policy(network, observes_action(config))
 
 
 def read_text(path: Path) -> str:

@@ -60,16 +60,15 @@ class Learner:
         self._agents, self._buffer = agents, buffer
         self._compiles = compiled
         self._native: _NativeUpdate | None = None
-        self._began = time.monotonic()
         self.updates = 0
-        self.first_update_s: float | None = None
+        self.first_update_at: float | None = None
         self.losses = torch.full([len(agents)], math.nan)
 
     def learn(self, frames: int) -> None:
         """One update for each of the next `frames` env steps, if there is a batch to sample; the targets follow.
 
-        Afterwards `losses` [A] are those before the last update, `updates` counts them all, and `first_update_s` is
-        how long it took from the learner's making to the first compiled update, or eager one if that is what runs.
+        Afterwards `losses` [A] are those before the last update, `updates` counts them all, and `first_update_at` is
+        the monotonic time of the first one in the way that all later ones are made, compiled or not.
         """
         while frames > 0:
             count = min(frames, *(agent.target_updater.steps_left for agent in self._agents))
@@ -95,8 +94,8 @@ class Learner:
                 self._update_eagerly((items, agents))
             else:
                 self.losses = self._native(items)
-            if self.first_update_s is None:
-                self.first_update_s = time.monotonic() - self._began
+            if self.first_update_at is None:
+                self.first_update_at = time.monotonic()
         self.updates += count
 
     def _update_eagerly(self, sample: tuple[Tensor, Tensor]) -> None:

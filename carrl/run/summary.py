@@ -1,11 +1,11 @@
 """A run in a few figures: what `summary.json` holds."""
 
 from dataclasses import asdict
-from datetime import datetime
 from typing import Any
 
 from carrl.run.agent_run import AgentRun
 from carrl.run.evaluation import Drive
+from carrl.run.trainer import Trainer
 
 EVALUATION_KEYS = (
     "lap_completed",
@@ -18,24 +18,23 @@ EVALUATION_KEYS = (
 )
 
 
-def summarise(run: AgentRun, began: datetime, first_update_s: float | None, **context: Any) -> dict[str, Any]:
+def summarise(run: AgentRun, trainer: Trainer, **context: Any) -> dict[str, Any]:
     """The run's figures; `evaluation` is of the best greedy drive, whose policy is `checkpoints/best.pt`.
 
     Args:
         run: that is over.
-        began: when training began, after which all times are counted.
-        first_update_s: how long the first update took to come, compilation included; None if there was none.
+        trainer: that it was part of; all times are counted from when it was made.
         context: what else to note of the run, such as its track.
     """
     return {
         "seed": run.agent.seed,
         **context,
-        "began": began.isoformat(timespec="milliseconds"),
         "episodes": run.episodes,
         "frames": run.moment.frames,
         "updates": run.moment.updates,
         "wall_time_s": round(run.moment.wall_time_s, 3),
-        "first_update_s": None if first_update_s is None else round(first_update_s, 3),
+        "start_up_s": round(trainer.start_up_s, 3),
+        "first_update_s": None if trainer.first_update_s is None else round(trainer.first_update_s, 3),
         "first_lap": asdict(run.first_lap) if run.first_lap else None,
         "evaluation": _figures(run.best),
         "last_evaluation": _figures(run.last),

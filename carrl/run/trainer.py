@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import torch
 from tensordict import TensorDictBase
 
+import carrl
 from carrl.data.replay_buffer import KEYS
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Pipeline
@@ -50,6 +51,17 @@ class Trainer:
     def wall_time_s(self) -> float:
         """Seconds since the trainer was made."""
         return time.monotonic() - self._began
+
+    @property
+    def start_up_s(self) -> float:
+        """Seconds from the first import of CarRL to the trainer's making: all of a process but its first instant."""
+        return self._began - carrl._IMPORTED_AT
+
+    @property
+    def first_update_s(self) -> float | None:
+        """Seconds from the trainer's making to its first update, compilation included; None before that."""
+        first = self._pipeline.learner.first_update_at
+        return None if first is None else first - self._began
 
     def stop(self) -> None:
         """Ends all runs after the present round, with everything saved."""

@@ -7,6 +7,7 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 import carrl
+from carrl.env.reward import TERMS
 from carrl.errors import ConfigError
 
 
@@ -28,7 +29,7 @@ def test_it_is_the_same_task_as_the_torchrl_environment():
         transition, state = env.step_and_maybe_reset(state.set("action", torch.tensor([action])))
         after = transition["next"]
         assert (reward, terminated, truncated) == (after["reward"].item(), after["terminated"].item(), False)
-        assert [info[name] for name in ("collision", "proximity", "gate")] == after["reward_terms"][0].tolist()
+        assert [info[name] for name in TERMS] == after["reward_terms"][0].tolist()
         if terminated:
             observation, info = gym_env.reset()
 

@@ -1,17 +1,37 @@
 """The paper's reward, worked by hand."""
 
+import pytest
 import torch
 
 from carrl.env.reward import TERMS, Reward
 
 
-def terms_of(nearest, collided=False, gates=0, reward=None):
+def all_terms_of(nearest, collided=False, gates=0, action=0, last_action=0, reward=None):
     observation = torch.tensor([[1.0, nearest, 0.7]])
-    return (reward or Reward()).terms(observation, torch.tensor([collided]), torch.tensor([gates]))[0].tolist()
+    events = (torch.tensor([value]) for value in (collided, gates, action, last_action))
+    return (reward or Reward()).terms(observation, *events)[0]
 
 
-def test_the_terms_are_collision_proximity_and_gate():
-    assert TERMS == ("collision", "proximity", "gate")
+def terms_of(*args, **kwargs):
+    """Those of the paper."""
+    return all_terms_of(*args, **kwargs)[:3].tolist()
+
+
+def test_the_terms_are_the_papers_and_one_for_steering():
+    assert TERMS == ("collision", "proximity", "gate", "steering")
+    terms = all_terms_of(nearest=0.05, gates=1, action=1, reward=Reward(turn=-0.5, switch=-2.0))
+    assert terms.tolist() == [0, -20, 50, -2.5]
+    assert Reward.of_paper(terms) == 30
+    assert Reward.of_steering(terms) == -2.5
+
+
+@pytest.mark.parametrize(
+    ("last_action", "action", "steering"), [(0, 0, 0.0), (1, 1, -0.5), (0, 2, -2.5), (1, 2, -2.5), (1, 0, -2.0)]
+)
+def test_turns_and_switches_cost_what_is_asked_and_nothing_in_the_paper(last_action, action, steering):
+    steered = {"nearest": 0.5, "action": action, "last_action": last_action}
+    assert all_terms_of(**steered, reward=Reward(turn=-0.5, switch=-2.0))[3] == steering
+    assert all_terms_of(**steered)[3] == 0
 
 
 def test_driving_in_the_open_earns_nothing():

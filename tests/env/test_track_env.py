@@ -4,7 +4,7 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from carrl import Sensor, Track, TrackEnv, Vehicle
+from carrl import Reward, Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError, TrackError
 
 
@@ -33,7 +33,7 @@ def test_shapes_and_types_are_the_documented_ones():
         "pose": ((3, 3), torch.float32),
         ("next", "observation"): ((3, 7), torch.float32),
         ("next", "reward"): ((3, 1), torch.float32),
-        ("next", "reward_terms"): ((3, 3), torch.float32),
+        ("next", "reward_terms"): ((3, 4), torch.float32),
         ("next", "done"): ((3, 1), torch.bool),
         ("next", "terminated"): ((3, 1), torch.bool),
         ("next", "truncated"): ((3, 1), torch.bool),
@@ -134,7 +134,7 @@ def test_the_observation_of_a_finished_step_is_not_the_restarts():
 def test_the_reward_is_the_sum_of_its_terms():
     rollout = TrackEnv(num_envs=8, seed=3).rollout(300, break_when_any_done=False)["next"]
     torch.testing.assert_close(rollout["reward"], rollout["reward_terms"].sum(-1, keepdim=True))
-    assert (rollout["reward_terms"].amin(dim=(0, 1)) < 0).tolist() == [True, True, False]
+    assert (rollout["reward_terms"].amin(dim=(0, 1)) < 0).tolist() == [True, True, False, False]
     assert rollout["reward_terms"][..., 2].max() == 50
 
 
@@ -163,3 +163,27 @@ def test_a_different_car_can_be_driven():
     state = env.reset()
     moved = env.step(state.set("action", torch.tensor([0])))["next", "pose"] - state["pose"]
     assert moved[0, :2].norm().item() == pytest.approx(4.0, abs=1e-5)
+
+
+def test_the_last_action_can_be_observed():
+    env = TrackEnv(num_envs=2, max_steps=3, observe_action=True)
+    check_env_specs(env)
+    state = env.reset()
+    assert state["observation"][:, 7:].tolist() == [[1, 0, 0]] * 2
+    first, second = (step["observation"] for step in drive(env, [1, 2]))
+    assert (first[:, 7:].tolist(), second[:, 7:].tolist()) == ([[0, 1, 0]] * 2, [[0, 0, 1]] * 2)
+    assert torch.equal(first[:, :7], drive(TrackEnv(num_envs=2), [1])[0]["observation"])
+
+
+def test_steering_costs_reward_from_the_second_action_on():
+    env = TrackEnv(num_envs=1, reward=Reward(turn=-1.0, switch=-3.0))
+    steering = [step["reward_terms"][0, 3].item() for step in drive(env, [0, 1, 1, 2, 0])]
+    assert steering == [0, -4, -1, -4, -3]
+
+
+def test_cars_of_several_seeds_drive_as_they_would_alone():
+    together = TrackEnv(num_envs=2, seed=[5, 6], random_start=True).rollout(150, break_when_any_done=False)
+    for index, seed in enumerate((5, 6)):
+        alone = TrackEnv(num_envs=2, seed=seed, random_start=True).rollout(150, break_when_any_done=False)
+        assert (together[2 * index : 2 * index + 2] == alone).all()
+        assert alone["next", "done"].any()

@@ -22,7 +22,7 @@ def transitions() -> Callable[..., TensorDict]:
 
         following = {
             "reward": noise(1),
-            "reward_terms": noise(3),
+            "reward_terms": noise(4),
             "observation": noise(rays),
             "terminated": noise(1) > 0,
             "truncated": noise(1) > 0,

@@ -17,7 +17,7 @@ def make_simulator(track="paper", **vehicle):
     return Simulator(Track.load(track), Vehicle(**vehicle), Sensor(max_range=10.0))
 
 
-def forward_policy(observation):
+def forward_policy(observation, _):
     return torch.zeros(len(observation), dtype=torch.int64)
 
 
@@ -25,7 +25,7 @@ def zig_zag_policy():
     """Left and right in turn: straight on average."""
     step = 0
 
-    def act(observation):
+    def act(observation, _):
         nonlocal step
         step += 1
         return torch.full((len(observation),), 1 + step % 2)
@@ -77,7 +77,7 @@ def test_zig_zag_is_counted_as_switches():
 
 def test_a_car_that_circles_is_stopped_by_the_time_limit():
     simulator = make_simulator("oval", turn_radius=2.0)
-    (attempt,) = drive(simulator, Reward(), lambda observation: torch.ones(len(observation), dtype=torch.int64))
+    (attempt,) = drive(simulator, Reward(), lambda observation, _: torch.ones(len(observation), dtype=torch.int64))
     assert not attempt.collided and not attempt.lap_completed
     assert attempt.lap_steps == 2 * simulator.lap_steps
     assert attempt.progress < 0.05

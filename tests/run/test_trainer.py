@@ -193,7 +193,7 @@ def test_a_loss_that_is_not_a_number_stops_the_run(tmp_path):
     ],
 )
 def test_limits_that_allow_nothing_are_refused(override):
-    with pytest.raises(ConfigError, match="must be|must name"):
+    with pytest.raises(ConfigError, match=r"must be|must name"):
         build_pipeline(compose(override))
 
 

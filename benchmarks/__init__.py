@@ -1,0 +1,1 @@
+"""Speed and time-to-a-lap of CarRL beside other libraries; `scripts/bench` runs it."""

@@ -1,0 +1,201 @@
+"""The best lap that a track and a car allow, searched for in the simulator: a mark to measure learnt policies by.
+
+Shapes: `B` drives that the search carries on side by side.
+"""
+
+import copy
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from carrl.env.reward import Reward
+from carrl.errors import ConfigError, TrackError
+from carrl.run.evaluation import TIME_LIMIT_LAPS, Drive, drive
+from carrl.sim.simulator import Simulator, State
+from carrl.sim.vehicle import Action
+
+_TURN, _SWITCH, _STEP = 2**40, 2**20, 1
+"""What each adds to a cost: digits of one number, so that costs compare as (turns, switches, steps) do."""
+_NEVER = 2**62
+_CHUNK = 1024
+"""Drives simulated at once: few, so that they are close together and few walls are near."""
+_MEMORY_SLOTS = 2**22 - 3
+"""A prime number, so that places spread evenly over the slots."""
+
+
+def find_best_lap(
+    simulator: Simulator,
+    reward: Reward,
+    bin_size: float = 0.25,
+    direct_switches: bool = True,
+    turns_per_switch: float = 0.0,
+) -> Drive:
+    """The lap from the start line with the fewest turns, then the fewest switches, then the fewest steps.
+
+    Only laps without a collision and without a step near a wall count. A turn is a step with the action left or
+    right; a switch is a change of action from one step to the next.
+
+    The search carries all drives on by a step at a time, and of those that came to the same place, now or earlier,
+    keeps the cheapest. One thing is not exact: the same place means the same exact heading and the same gates passed,
+    but only the same square of `bin_size`. So the lap returned is real, while a better one that differs from a
+    cheaper drive by less than a square may be missed; halve `bin_size` to see what that is worth.
+
+    Args:
+        simulator: the track, the car and its sensor.
+        reward: tells which steps are near a wall.
+        bin_size: side of the squares, m. Half of it takes three to five times as long.
+        direct_switches: whether left may follow right, or right left, with no step forward between them.
+        turns_per_switch: how many turns more are worth a switch less; 0 compares switches only where turns are even.
+
+    Returns:
+        The lap as `evaluation.drive` measures it when the actions found are driven again.
+
+    Raises:
+        ConfigError: a parameter outside its range.
+        TrackError: no lap was found within the time limit of `evaluation.drive`.
+    """
+    largest = simulator.vehicle.step_length / math.sqrt(2)
+    if not 0 < bin_size <= largest:
+        raise ConfigError(
+            f"bin_size is {bin_size}; it must be positive and at most {largest:.3g} m, "
+            "so that every step leads to another square"
+        )
+    if not 0 <= turns_per_switch <= 100:
+        raise ConfigError(f"turns_per_switch is {turns_per_switch}; it must lie between 0 and 100")
+    actions = _Search(simulator, reward, bin_size, direct_switches, turns_per_switch).run()
+    if actions is None:
+        raise TrackError(
+            f"track '{simulator.track.name}': found no lap without a collision or a step near a wall; "
+            "use a wider track, a car that turns more tightly, or a smaller bin_size"
+        )
+    playback = iter(actions)
+    (lap,) = drive(simulator, reward, lambda readings, _: torch.tensor([next(playback)], device=readings.device))
+    return lap
+
+
+class _Front(NamedTuple):
+    """Drives of the same number of steps.
+
+    Attributes:
+        state: where they have come to.
+        left_turns: less the right turns, [B], int64: the heading without rounding.
+        action: the last one, [B], int64; -1 before the first.
+        cost: of all steps, [B], int64.
+        parent: index of the same drive, without the last step, in the front before, [B], int64.
+    """
+
+    state: State
+    left_turns: Tensor
+    action: Tensor
+    cost: Tensor
+    parent: Tensor
+
+    def take(self, index: Tensor) -> "_Front":
+        """The drives at these indices, or where this mask holds."""
+        return _Front(State(*(value[index] for value in self.state)), *(value[index] for value in self[1:]))
+
+
+class _Search:
+    """The search and its memory of places; the arguments are those of `find_best_lap`."""
+
+    def __init__(
+        self, simulator: Simulator, reward: Reward, bin_size: float, direct_switches: bool, turns_per_switch: float
+    ) -> None:
+        self.simulator, self.reward = simulator, reward
+        self.bin_size, self.direct_switches = bin_size, direct_switches
+        self.switch_cost = _SWITCH + round(turns_per_switch * _TURN)
+        self.step_limit = round(TIME_LIMIT_LAPS * simulator.lap_steps)
+        # A hash table: each slot holds a place and its cheapest cost for each last action. A new place takes over the
+        # slot of another one; what is forgotten is searched again, so this costs time only.
+        self.places = torch.full((_MEMORY_SLOTS,), -1, device=simulator.device)
+        self.costs = torch.full((_MEMORY_SLOTS, len(Action)), _NEVER, device=simulator.device)
+
+    def run(self) -> list[int] | None:
+        """The actions of the best lap, if there is one."""
+        state = self.simulator.start(torch.zeros(1, dtype=torch.float64))
+        zero = torch.zeros_like(state.gates_passed)
+        front = _Front(state, left_turns=zero, action=zero - 1, cost=zero, parent=zero)
+        history: list[tuple[Tensor, Tensor]] = []
+        best_cost, best_index, best_steps = _NEVER, 0, 0
+        while len(history) < self.step_limit and len(front.cost):
+            front = self._expand(front)
+            # This ends completed laps too: one step more costs more than the lap.
+            front = self._keep_cheapest(front.take(front.cost < best_cost))
+            history.append((front.parent.int(), front.action.to(torch.int8)))
+            completed = front.state.gates_passed >= self.simulator.track.gate_count
+            for index in completed.nonzero()[:, 0].tolist():
+                if front.cost[index] < best_cost:
+                    best_cost, best_index, best_steps = int(front.cost[index]), index, len(history)
+        actions = []
+        for parents, last_actions in reversed(history[:best_steps]):
+            actions.append(int(last_actions[best_index]))
+            best_index = int(parents[best_index])
+        return actions[::-1] or None
+
+    def _expand(self, front: _Front) -> _Front:
+        """All drives one step further that neither collide nor come near a wall."""
+        indices = torch.arange(len(front.cost), device=self.simulator.device)
+        chunks = [self._expand_chunk(front, index) for index in indices.split(_CHUNK)]
+        states = map(torch.cat, zip(*(chunk.state for chunk in chunks), strict=True))
+        return _Front(State(*states), *map(torch.cat, zip(*(chunk[1:] for chunk in chunks), strict=True)))
+
+    def _expand_chunk(self, front: _Front, index: Tensor) -> _Front:
+        parent = index.repeat(len(Action))
+        before = front.take(parent)
+        action = torch.arange(len(Action), device=index.device).repeat_interleave(len(index))
+        outcome = self._nearby(before.state.pose).step(before.state, action)
+        near_wall = self.reward.is_near_wall(outcome.ranges / self.simulator.sensor.max_range)
+        switched = (before.action >= 0) & (before.action != action)
+        allowed = ~outcome.collided & ~near_wall
+        if not self.direct_switches:
+            allowed &= ~switched | (before.action == Action.FORWARD) | (action == Action.FORWARD)
+        cost = before.cost + _TURN * (action != Action.FORWARD) + self.switch_cost * switched + _STEP
+        left_turns = before.left_turns + (action == Action.LEFT).long() - (action == Action.RIGHT).long()
+        return _Front(outcome.state, left_turns, action, cost, parent).take(allowed)
+
+    def _nearby(self, pose: Tensor) -> Simulator:
+        """The simulator with only the walls that one step from the poses [B, 3] can hit or come near."""
+        near = min(self.reward.proximity_threshold, 1.0) * self.simulator.sensor.max_range
+        reach = self.simulator.vehicle.step_length + max(near, self.simulator.vehicle.body_radius)
+        margin = 0.01 * reach  # For rounding.
+        low, high = pose[:, :2].amin(0) - reach - margin, pose[:, :2].amax(0) + reach + margin
+        walls = self.simulator.walls
+        is_near = ((walls.amin(1) <= high) & (walls.amax(1) >= low)).all(1)
+        is_near[0] = True  # The simulator needs one wall at least.
+        local = copy.copy(self.simulator)
+        local.walls = walls[is_near]
+        return local
+
+    def _keep_cheapest(self, front: _Front) -> _Front:
+        """The drives that no other one makes needless, of those in this front and in all fronts before."""
+        place = self._place(front)
+        way = place * len(Action) + front.action
+        index = front.cost.argsort(stable=True)
+        index = index[way[index].argsort(stable=True)]
+        is_first = torch.ones_like(index, dtype=torch.bool)
+        is_first[1:] = way[index].diff() != 0
+        index = index[is_first]
+        front, place = front.take(index), place[index]
+
+        slot = place % _MEMORY_SLOTS
+        self.costs[slot[self.places[slot] != place]] = _NEVER
+        self.places[slot] = place
+        is_known = self.places[slot] == place  # Of two new places for one slot, one loses.
+        entry = (slot * len(Action) + front.action)[is_known]
+        self.costs.view(-1).scatter_reduce_(0, entry, front.cost[is_known], "amin")
+        known = torch.where(is_known[:, None], self.costs[slot], _NEVER)
+        # A drive of another last action can go on as this one does, for at most one switch more.
+        rival = known.amin(dim=1) if self.direct_switches else known[:, Action.FORWARD]
+        is_cheapest = front.cost <= known.gather(1, front.action[:, None])[:, 0]
+        return front.take(is_cheapest & (front.cost < rival + self.switch_cost))
+
+    def _place(self, front: _Front) -> Tensor:
+        """A number for each combination of square, heading and gates passed, [B], int64."""
+        corners = self.simulator.walls.flatten(0, 1).double()
+        low, high = corners.amin(0), corners.amax(0)
+        column, row = ((front.state.pose[:, :2] - low) / self.bin_size).long().unbind(1)
+        square = column * (int((high - low)[1] / self.bin_size) + 1) + row
+        heading = square * (2 * self.step_limit + 1) + self.step_limit + front.left_turns
+        return heading * 2 * self.simulator.track.gate_count + front.state.gates_passed
