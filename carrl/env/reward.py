@@ -26,7 +26,7 @@ class Reward:
         gate: for each gate passed.
         proximity_threshold: as a share of the sensor's range, 0..1.
         turn: for each action left or right; not the paper's.
-        switch: for each action that is another than the last one; not the paper's.
+        switch: for each change between forward and a turn, two of which make left of right; not the paper's.
     """
 
     collision: float = -200.0
@@ -58,7 +58,8 @@ class Reward:
         near = self.is_near_wall(readings) & ~collided
         counts = torch.stack([collided, near, gates_passed], dim=-1).to(readings.dtype)
         paper = counts * counts.new_tensor([self.collision, self.proximity, self.gate])
-        steering = self.turn * (action != Action.FORWARD) + self.switch * (action != last_action)
+        steer, last_steer = _steer(action), _steer(last_action)
+        steering = self.turn * steer.abs() + self.switch * (steer - last_steer).abs()
         return torch.cat([paper, steering[..., None].to(paper.dtype)], dim=-1)
 
     @staticmethod
@@ -70,3 +71,8 @@ class Reward:
     def of_steering(terms: Tensor) -> Tensor:
         """What the paper's terms leave: [..., 4] to [...]."""
         return terms[..., -1]
+
+
+def _steer(action: Tensor) -> Tensor:
+    """1 for left, 0 for forward, -1 for right."""
+    return (action == Action.LEFT).int() - (action == Action.RIGHT).int()

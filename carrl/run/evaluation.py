@@ -40,6 +40,7 @@ class Drive:
         lap_steps: steps driven.
         forward_share: share of the steps with the action forward.
         switches_per_100m: how often the action changed, per 100 m driven.
+        reversals: how often left followed right or right followed left, without a step forward between.
         near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
         poses: before each step and after the last, [T + 1, 3].
         ranges: at each pose, [T + 1, R], m.
@@ -55,6 +56,7 @@ class Drive:
     lap_steps: int
     forward_share: float
     switches_per_100m: float
+    reversals: int
     near_wall_share: float
     poses: np.ndarray = field(repr=False)
     ranges: np.ndarray = field(repr=False)
@@ -143,7 +145,8 @@ def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Rewa
     drives = []
     for car, steps in enumerate(lengths.tolist()):
         driven = actions[1 : steps + 1, car]
-        switches = (driven[1:] != driven[:-1]).sum().item()
+        switched = driven[1:] != driven[:-1]
+        turning = driven != Action.FORWARD
         drives.append(
             Drive(
                 start=stations[car].item(),
@@ -154,7 +157,8 @@ def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Rewa
                 steering_reward=reward.of_steering(terms)[:steps, car].sum().item(),
                 lap_steps=steps,
                 forward_share=(driven == Action.FORWARD).double().mean().item(),
-                switches_per_100m=100 * switches / (steps * simulator.vehicle.step_length),
+                switches_per_100m=100 * switched.sum().item() / (steps * simulator.vehicle.step_length),
+                reversals=int((switched & turning[1:] & turning[:-1]).sum()),
                 near_wall_share=near[:steps, car].double().mean().item(),
                 poses=course.state.pose[: steps + 1, car].cpu().numpy(),
                 ranges=course.ranges[: steps + 1, car].cpu().numpy(),

@@ -3,12 +3,17 @@
 import csv
 import io
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carrl.errors import CheckpointError
-from carrl.run.folder import CONFIG, METRICS, SUMMARY, read_text
+from carrl.errors import CheckpointError, ConfigError
+from carrl.run.best_lap import find_best_lap
+from carrl.run.build import World, build_world
+from carrl.run.evaluation import Drive
+from carrl.run.folder import CONFIG, METRICS, SUMMARY, load_config, read_text
+from carrl.sim.simulator import Simulator
 
 HEADER = (
     "run",
@@ -21,7 +26,10 @@ HEADER = (
     "steps",
     "forward share",
     "switches / 100 m",
+    "reversals",
 )
+BEST_LAP_HEADER = ("forward / best", "switches / best")
+"""What is added where the best possible lap is known: a run's figures as shares of its."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +38,13 @@ class RunResult:
 
     Attributes:
         label: short name that tells it from the others of the report.
+        config: the run's resolved configuration.
         summary: what `summary.json` holds, or None where the run has not finished.
         episode_returns: of every ended episode, in order.
     """
 
     label: str
+    config: dict[str, Any]
     summary: dict[str, Any] | None
     episode_returns: tuple[float, ...]
 
@@ -54,6 +64,17 @@ class RunResult:
             f"{best['lap_steps']}",
             f"{best['forward_share']:.0%}",
             f"{best['switches_per_100m']:.1f}",
+            f"{best['reversals']}",
+        ]
+
+    def beside(self, best_lap: Drive) -> list[str]:
+        """The run's figures under `BEST_LAP_HEADER`."""
+        if self.summary is None:
+            return ["-"] * len(BEST_LAP_HEADER)
+        own = self.summary["evaluation"]
+        return [
+            f"{own[name] / getattr(best_lap, name):.2f}" if getattr(best_lap, name) else "-"
+            for name in ("forward_share", "switches_per_100m")
         ]
 
 
@@ -71,9 +92,36 @@ def find_runs(roots: list[Path]) -> list[RunResult]:
     return [_read_run(folder, _label(folder, folders)) for folder in folders]
 
 
-def markdown_table(runs: list[RunResult]) -> str:
-    """The runs as a table in Markdown."""
-    rows = [HEADER, ["---", *["---:"] * (len(HEADER) - 1)], *(run.row() for run in runs)]
+def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
+    """The best possible lap in the world that the runs were trained in.
+
+    Raises:
+        ConfigError: it is not one and the same.
+        CarrlError: as `find_best_lap`.
+    """
+    worlds = [build_world(run.config) for run in runs]
+    differing = next((run.label for run, world in zip(runs, worlds, strict=True) if not _alike(world, worlds[0])), None)
+    if differing is not None:
+        raise ConfigError(f"'{runs[0].label}' and '{differing}' were not trained with the same track, car and sensors")
+    world = worlds[0]
+    return find_best_lap(Simulator(world.track, world.vehicle, world.sensor), world.reward, bin_size)
+
+
+def _alike(world: World, other: World) -> bool:
+    """Whether the same laps are possible without a step near a wall."""
+    distances = [each.sensor.max_range * each.reward.proximity_threshold for each in (world, other)]
+    same = world.track.as_dict() == other.track.as_dict() and world.vehicle == other.vehicle
+    fans = [(each.sensor.rays, each.sensor.field_of_view) for each in (world, other)]
+    return same and fans[0] == fans[1] and math.isclose(*distances, rel_tol=1e-4)
+
+
+def markdown_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
+    """The runs as a table in Markdown, with their distance from the best possible lap if that is given."""
+    header, table = [*HEADER], [run.row() for run in runs]
+    if best_lap is not None:
+        header += BEST_LAP_HEADER
+        table = [row + run.beside(best_lap) for row, run in zip(table, runs, strict=True)]
+    rows = [header, ["---", *["---:"] * (len(header) - 1)], *table]
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
@@ -93,4 +141,4 @@ def _read_run(folder: Path, label: str) -> RunResult:
         returns = tuple(float(row["episode_return"]) for row in csv.DictReader(io.StringIO(metrics)))
     except (ValueError, KeyError, TypeError) as error:
         raise CheckpointError(f"run '{folder}': {SUMMARY} or {METRICS} is damaged") from error
-    return RunResult(label, summary, returns)
+    return RunResult(label, load_config(folder), summary, returns)

@@ -13,6 +13,7 @@ EVALUATION_KEYS = (
     "lap_steps",
     "forward_share",
     "switches_per_100m",
+    "reversals",
     "near_wall_share",
     "progress",
 )

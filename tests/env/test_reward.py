@@ -26,7 +26,7 @@ def test_the_terms_are_the_papers_and_one_for_steering():
 
 
 @pytest.mark.parametrize(
-    ("last_action", "action", "steering"), [(0, 0, 0.0), (1, 1, -0.5), (0, 2, -2.5), (1, 2, -2.5), (1, 0, -2.0)]
+    ("last_action", "action", "steering"), [(0, 0, 0.0), (1, 1, -0.5), (0, 2, -2.5), (1, 2, -4.5), (1, 0, -2.0)]
 )
 def test_turns_and_switches_cost_what_is_asked_and_nothing_in_the_paper(last_action, action, steering):
     steered = {"nearest": 0.5, "action": action, "last_action": last_action}

@@ -178,7 +178,7 @@ def test_the_last_action_can_be_observed():
 def test_steering_costs_reward_from_the_second_action_on():
     env = TrackEnv(num_envs=1, reward=Reward(turn=-1.0, switch=-3.0))
     steering = [step["reward_terms"][0, 3].item() for step in drive(env, [0, 1, 1, 2, 0])]
-    assert steering == [0, -4, -1, -4, -3]
+    assert steering == [0, -4, -1, -7, -3]
 
 
 def test_cars_of_several_seeds_drive_as_they_would_alone():

@@ -73,6 +73,7 @@ def test_zig_zag_is_counted_as_switches():
     assert attempt.forward_share == 0
     steps = attempt.lap_steps
     assert attempt.switches_per_100m == pytest.approx(100 * (steps - 1) / steps)
+    assert attempt.reversals == steps - 1
 
 
 def test_a_car_that_circles_is_stopped_by_the_time_limit():
