@@ -56,7 +56,7 @@ def test_double_dqn_differs_from_dqn_by_the_loss_alone():
     dqn, double = compose(), compose("loss=double_dqn")
     assert double.pop("loss") == dqn.pop("loss") | {"double_dqn": True}
     assert dqn == double
-    assert build_pipeline(compose("loss=double_dqn")).loss.double_dqn
+    assert build_pipeline(compose("loss=double_dqn")).agents[0].loss.double_dqn
 
 
 @pytest.mark.parametrize("leaf", LEAVES)

@@ -77,11 +77,15 @@ def _train(config: DictConfig) -> None:
         trainer = Trainer(pipeline, folders)
         with _stopping_on_signals(trainer) as interrupted, TrainingDisplay(plan.frames, plan.episodes) as display:
             trainer.run(display)
-    for run in trainer.runs:
-        summary = summarise(run, trainer, track=pipeline.world.track.name)
+    track = pipeline.world.track.name
+    summaries = [summarise(run, trainer, track=track) for run in trainer.runs]
+    for run, summary in zip(trainer.runs, summaries, strict=True):
         run.folder.write_summary(summary)
         _draw(pipeline.world, run)
-        print_summary(summary, run.folder.path)
+    if plan.seeds is None:
+        print_summary(summaries[0], path)
+    else:
+        print_summaries(summaries, path)
     if interrupted:
         raise KeyboardInterrupt
 

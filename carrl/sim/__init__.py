@@ -1,1 +1,1 @@
-"""The batched 2D wall-and-ray simulator: pure torch, tensors in and tensors out."""
+"""The batched 2D wall-and-ray simulator: torch, and machine code for the CPU, tensors in and tensors out."""

@@ -74,6 +74,37 @@ def print_summary(summary: Mapping[str, Any], folder: Path) -> None:
     console.print(f"results in {folder}", soft_wrap=True, highlight=False)
 
 
+def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Prints a line for each of several seeds; `carrl report` has more."""
+    header = (
+        "seed",
+        "frames",
+        "episodes",
+        "first greedy lap",
+        "best: progress",
+        "reward",
+        "forward",
+        "switches / 100 m",
+    )
+    rows = []
+    for summary in summaries:
+        first, best = summary["first_lap"], summary["evaluation"]
+        rows.append(
+            [
+                str(summary["seed"]),
+                f"{summary['frames']:,}",
+                f"{summary['episodes']:,}",
+                f"{first['frame']:,}" if first else "none",
+                f"{best['progress']:.0%}",
+                f"{best['lap_reward']:.0f}",
+                f"{best['forward_share']:.0%}",
+                f"{best['switches_per_100m']:.1f}",
+            ]
+        )
+    print_table(f"{len(rows)} seeds on track {summaries[0]['track']}", header, rows)
+    Console().print(f"results in {folder}", soft_wrap=True, highlight=False)
+
+
 def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     first, best = summary["first_lap"], summary["evaluation"]
     rows = [
