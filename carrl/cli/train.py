@@ -25,7 +25,7 @@ from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_
 from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
 from carrl.sim.track import Track
-from carrl.view.console import TrainingDisplay, print_summary
+from carrl.view.console import TrainingDisplay, print_summaries, print_summary
 from carrl.view.lap import draw_lap
 from carrl.view.learning_curve import draw_learning_curve
 
