@@ -8,7 +8,7 @@ BATCH_SIZE = 128
 GAMMA = 0.95
 LEARNING_RATE = 1e-3
 TARGET_PERIOD = 36_000
-CARS = 32
+CARS = 64
 """Driven side by side where a contestant can, as in CarRL's own run."""
 
 

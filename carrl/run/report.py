@@ -38,13 +38,13 @@ class RunResult:
 
     Attributes:
         label: short name that tells it from the others of the report.
-        config: the run's resolved configuration.
+        folder: the run's.
         summary: what `summary.json` holds, or None where the run has not finished.
         episode_returns: of every ended episode, in order.
     """
 
     label: str
-    config: dict[str, Any]
+    folder: Path
     summary: dict[str, Any] | None
     episode_returns: tuple[float, ...]
 
@@ -99,7 +99,7 @@ def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
         ConfigError: it is not one and the same.
         CarrlError: as `find_best_lap`.
     """
-    worlds = [build_world(run.config) for run in runs]
+    worlds = [build_world(load_config(run.folder)) for run in runs]
     differing = next((run.label for run, world in zip(runs, worlds, strict=True) if not _alike(world, worlds[0])), None)
     if differing is not None:
         raise ConfigError(f"'{runs[0].label}' and '{differing}' were not trained with the same track, car and sensors")
@@ -141,4 +141,4 @@ def _read_run(folder: Path, label: str) -> RunResult:
         returns = tuple(float(row["episode_return"]) for row in csv.DictReader(io.StringIO(metrics)))
     except (ValueError, KeyError, TypeError) as error:
         raise CheckpointError(f"run '{folder}': {SUMMARY} or {METRICS} is damaged") from error
-    return RunResult(label, load_config(folder), summary, returns)
+    return RunResult(label, folder, summary, returns)

@@ -56,6 +56,7 @@ def test_the_summary_has_the_documented_keys(run):
         "forward_share",
         "switches_per_100m",
         "near_wall_share",
+        "reversals",
         "progress",
     }
     assert (summary["frames"], summary["updates"], summary["seed"]) == (320, 320 - 8, 5)
@@ -138,6 +139,37 @@ def test_report_lines_up_finished_and_unfinished_runs(run, tmp_path, capsys):
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_several_seeds_leave_a_folder_each_as_if_trained_alone(run, tmp_path, capsys):
+    assert main(["train", *TINY, "trainer.seeds=[4..5]", f"hydra.run.dir={tmp_path}"]) == 0
+    assert "2 seeds on track oval" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {".hydra", "seed=4", "seed=5"}
+    ours, alone = tmp_path / "seed=5", run
+    assert {path.name for path in ours.iterdir()} == {path.name for path in alone.iterdir()}
+    assert (load(ours / "train.mcap") == load(alone / "train.mcap")).all()
+    configs = [yaml.safe_load((path / ".hydra" / "config.yaml").read_text()) for path in (ours, alone)]
+    assert configs[0] == configs[1]
+    assert main(["report", str(tmp_path)]) == 0
+    assert [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:]] == ["| seed=4", "| seed=5"]
+
+
+def test_report_tells_how_far_a_run_is_from_the_best_lap(run, tmp_path, capsys):
+    assert main(["report", str(run), "--best-lap", "--bin-size", "0.7"]) == 0
+    table, best_lap = capsys.readouterr().out.split("\n\n")
+    header, _, row = (line.strip("| ").split(" | ") for line in table.splitlines())
+    figures = dict(zip(header, row, strict=True))
+    summary = json.loads((run / "summary.json").read_text())["evaluation"]
+    assert best_lap.startswith("The best possible lap: 206 steps, forward 78.6%, 3.88 switches / 100 m, 0 reversals.")
+    assert float(figures["forward / best"]) == pytest.approx(summary["forward_share"] / 0.786, abs=0.01)
+    assert float(figures["switches / best"]) == pytest.approx(summary["switches_per_100m"] / 3.88, abs=0.02)
+
+
+def test_runs_on_different_tracks_have_no_best_lap_in_common(run, tmp_path, capsys):
+    other = tmp_path / "other"
+    assert main(["train", *TINY, "track=paper", f"hydra.run.dir={other}"]) == 0
+    assert main(["report", str(run), str(other), "--best-lap"]) == 2
+    assert "were not trained with the same track, car and sensors" in capsys.readouterr().err
+
+
 BAD_INPUT = [
     (["train", "sedd=1"], "sedd"),
     (["train", "loss=none"], "Available options in 'loss'"),
@@ -152,6 +184,8 @@ BAD_INPUT = [
     (["train", "compile=maybe"], "compile is 'maybe'"),
     (["train", "device=abacus"], "device is 'abacus'"),
     (["train", "seed=x"], "seed is 'x'"),
+    (["train", "trainer.seeds=[1,1]"], "trainer.seeds is [1, 1]"),
+    (["train", "trainer.seeds=[0..x]"], "trainer.seeds has '0..x'"),
     (["evaluate", "nothing"], "is not a folder"),
     (["report", "nothing"], "no run in 'nothing'"),
     (["fly"], "no verb 'fly'"),

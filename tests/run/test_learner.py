@@ -19,7 +19,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there i
 
 def make_pipeline(*overrides):
     """A pipeline whose buffer holds 800 transitions."""
-    pipeline = build_pipeline(compose("seed=1", "target_updater.period=50", *overrides))
+    pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", "target_updater.period=50", *overrides))
     agents = len(pipeline.agents)
     for _, batch in zip(range(25), pipeline.collector, strict=False):
         pipeline.replay_buffer.extend(batch.view(agents, -1).transpose(0, 1).select(*KEYS))
