@@ -81,7 +81,7 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
         "frames",
         "episodes",
         "first greedy lap",
-        "best: progress",
+        "progress",
         "reward",
         "forward",
         "switches / 100 m",
