@@ -108,7 +108,7 @@ CONTESTANTS = {
     for each in (
         _carrl("compiled", "CarRL, compiled, one seed", 100_000, compiled=True, seeds=1),
         _carrl("eager", "CarRL, eager, one seed", 8_000, compiled=False, seeds=1),
-        _carrl("compiled-ten", "CarRL, compiled, ten seeds at once", 20_000, compiled=True, seeds=SEEDS),
+        _carrl("compiled-ten", "CarRL, compiled, ten seeds at once", 40_000, compiled=True, seeds=SEEDS),
         _carrl("eager-ten", "CarRL, eager, ten seeds at once", 1_000, compiled=False, seeds=SEEDS),
         _peer("sb3-one-car", SB3["sb3-one-car"], 10_000),
         _peer("sb3-many-cars", SB3["sb3-many-cars"], 20_000),

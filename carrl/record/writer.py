@@ -29,8 +29,8 @@ from carrl.record.schema import (
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-FLUSH_INTERVAL_S = 2.0
-"""Wall time after which the chunk in progress goes to disk: what a killed process can lose."""
+FLUSH_INTERVAL_S = 1.0
+"""Wall time after which the chunk in progress goes to disk."""
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".csv": "text/csv", ".txt": "text/plain"}
 
 
@@ -38,7 +38,7 @@ class TransitionWriter:
     """A log being written; use it in a `with` statement, or call `close` at the end.
 
     Attachments and metadata are on disk before the constructor returns. The transitions are compressed in chunks; a
-    chunk goes to disk when it is full (1 MiB), or with the first batch that comes 2 s or more after the last flush.
+    chunk goes to disk when it is full (1 MiB), or with the first batch that comes 1 s or more after the last flush.
 
     Args:
         path: the file to write; an existing file is replaced.

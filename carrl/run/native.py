@@ -6,6 +6,7 @@ import os
 import platform
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,10 +51,12 @@ def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) ->
         if not package.exists():
             _logger.warning("Compiling for this machine; this takes about half a minute, once.")
             _compile(graph, inputs, package)
-        model = torch._inductor.aoti_load_package(str(package))
+        # What torch._inductor.aoti_load_package (torch 2.13) does, without two seconds of imports; its model also sorts
+        # the arguments of every call first, in as much time as this one computes.
+        loader = torch._C._aoti.AOTIModelPackageLoader(str(package), "model", False, 1, -1)
     except Exception as error:  # tracer, exporter, compiler and loader each have errors of their own
         raise CompilationError(f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}") from error
-    native: NativeFunction = model.loader.run  # model itself sorts its arguments first, in as much time as it computes
+    native: NativeFunction = loader.run
     return native
 
 
@@ -80,7 +83,8 @@ def _compile(graph: GraphModule, inputs: Sequence[Tensor], package: Path) -> Non
     """Compiles into a file beside the package first, so that two processes may compile at once."""
     package.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     program = torch.export.export(graph, tuple(inputs))
-    with tempfile.TemporaryDirectory(dir=package.parent) as folder:
+    with tempfile.TemporaryDirectory(dir=package.parent) as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # torch 2.13's exporter warns of torch's own code
         partial_package = torch._inductor.aoti_compile_and_package(
             program, package_path=f"{folder}/{package.name}", inductor_configs=_QUICK_TO_COMPILE
         )

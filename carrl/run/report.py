@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,13 +80,14 @@ class RunResult:
 
 
 def find_runs(roots: list[Path]) -> list[RunResult]:
-    """Every run below the folders, those in progress or broken off included, in the order of their paths.
+    """Every run below the folders, those in progress or broken off included, in the natural order of their paths.
 
     Raises:
         CheckpointError: there is none, or one is damaged.
     """
     found = {config.parent.parent for root in roots for config in root.rglob(str(CONFIG))}
-    folders = sorted(found - {folder.parent for folder in found})  # a run of several seeds holds one folder for each
+    found -= {folder.parent for folder in found}  # a run of several seeds holds one folder for each
+    folders = sorted(found, key=_in_natural_order)
     if not folders:
         names = ", ".join(f"'{root}'" for root in roots)
         raise CheckpointError(f"no run in {names}; name folders that `carrl train` has written")
@@ -123,6 +125,11 @@ def markdown_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
         table = [row + run.beside(best_lap) for row, run in zip(table, runs, strict=True)]
     rows = [header, ["---", *["---:"] * (len(header) - 1)], *table]
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+
+
+def _in_natural_order(folder: Path) -> list[tuple[str, int]]:
+    """A key that puts seed=2 before seed=10."""
+    return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D*)(\d*)", str(folder))]
 
 
 def _label(folder: Path, folders: list[Path]) -> str:

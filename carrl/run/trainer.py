@@ -11,12 +11,19 @@ from tensordict import TensorDictBase
 
 import carrl
 from carrl.data.replay_buffer import KEYS
+from carrl.record.schema import COLUMNS
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Pipeline
 from carrl.run.episodes import EpisodeTracker
 from carrl.run.evaluation import drive_from
 from carrl.run.folder import RunFolder
 from carrl.run.moment import Moment
+
+LOGGED_TOGETHER = 2048
+"""Env steps of each agent after which they are logged."""
+LOGGED_WITHIN_S = 1.0
+"""Wall time after which they are logged, if they are fewer."""
+LOGGED_KEYS = [column.key for column in COLUMNS]
 
 
 class Trainer:
@@ -39,6 +46,9 @@ class Trainer:
         self._began = time.monotonic()
         self._stopping = False
         self._evaluated_at = 0
+        self._unlogged: list[TensorDictBase] = []
+        self._logged = 0
+        self._logs_due = self._began + LOGGED_WITHIN_S
         self.runs = [AgentRun(agent, folder) for agent, folder in zip(agents, folders, strict=True)]
         self._active = dict(enumerate(self.runs))
 
@@ -81,6 +91,7 @@ class Trainer:
                 if not self._active:
                     break
         finally:
+            self._log()
             self._pipeline.collector.shutdown()
 
     def _learn_from(self, batch: TensorDictBase) -> None:
@@ -89,8 +100,9 @@ class Trainer:
         # [A * N, T] to [F, A], in the order of time: an item of the buffer is one transition of each agent.
         by_agent = batch.view(len(self.runs), -1, batch.shape[1]).permute(2, 1, 0).flatten(0, 1)
         self._pipeline.replay_buffer.extend(by_agent.select(*KEYS))
-        for index, run in self._active.items():
-            run.folder.record(by_agent[:, index], self._simulated_time(frames_before))
+        self._unlogged.append(by_agent.select(*LOGGED_KEYS).clone())
+        if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logs_due:
+            self._log()
         self._pipeline.learner.learn(len(by_agent))
         self._pipeline.exploration.step(len(by_agent))
         losses = self._pipeline.learner.losses.tolist()
@@ -99,6 +111,16 @@ class Trainer:
         interval = self._pipeline.evaluation.interval
         if self.frames // interval > frames_before // interval:
             self._evaluate()
+
+    def _log(self) -> None:
+        """Logs the transitions since the last call, many at once, which costs little more than a few."""
+        if not self._unlogged:
+            return
+        transitions, begin = torch.cat(self._unlogged), self._simulated_time(self._logged)
+        self._unlogged, self._logged = [], self.frames  # first, for nothing is logged again after a failure
+        self._logs_due = time.monotonic() + LOGGED_WITHIN_S
+        for index, run in self._active.items():
+            run.folder.record(transitions[:, index], begin)
 
     def _moment(self, loss: float) -> Moment:
         pipeline = self._pipeline
@@ -123,6 +145,8 @@ class Trainer:
         ]
         if over and self._evaluated_at != self.frames:
             self._evaluate()
+        if over:
+            self._log()
         for index in over:
             del self._active[index]
 

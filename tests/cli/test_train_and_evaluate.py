@@ -13,6 +13,7 @@ import yaml
 
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
+from carrl.run.report import find_runs
 
 TINY = [
     "compile=false",
@@ -150,6 +151,13 @@ def test_several_seeds_leave_a_folder_each_as_if_trained_alone(run, tmp_path, ca
     assert configs[0] == configs[1]
     assert main(["report", str(tmp_path)]) == 0
     assert [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:]] == ["| seed=4", "| seed=5"]
+
+
+def test_runs_are_listed_in_natural_order(tmp_path):
+    for name in ("seed=10", "seed=9", "seed=100"):
+        (tmp_path / name / ".hydra").mkdir(parents=True)
+        (tmp_path / name / ".hydra" / "config.yaml").write_text("{}")
+    assert [run.label for run in find_runs([tmp_path])] == ["seed=9", "seed=10", "seed=100"]
 
 
 def test_report_tells_how_far_a_run_is_from_the_best_lap(run, tmp_path, capsys):
