@@ -82,9 +82,9 @@ def _fingerprint(graph: GraphModule, inputs: Sequence[Tensor]) -> str:
 def _compile(graph: GraphModule, inputs: Sequence[Tensor], package: Path) -> None:
     """Compiles into a file beside the package first, so that two processes may compile at once."""
     package.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    program = torch.export.export(graph, tuple(inputs))
     with tempfile.TemporaryDirectory(dir=package.parent) as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # torch 2.13's exporter warns of torch's own code
+        program = torch.export.export(graph, tuple(inputs))
         partial_package = torch._inductor.aoti_compile_and_package(
             program, package_path=f"{folder}/{package.name}", inductor_configs=_QUICK_TO_COMPILE
         )

@@ -91,7 +91,7 @@ def find_runs(roots: list[Path]) -> list[RunResult]:
     if not folders:
         names = ", ".join(f"'{root}'" for root in roots)
         raise CheckpointError(f"no run in {names}; name folders that `carrl train` has written")
-    return [_read_run(folder, _label(folder, folders)) for folder in folders]
+    return [_read_run(folder, label) for folder, label in zip(folders, _labels(folders), strict=True)]
 
 
 def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
@@ -132,11 +132,19 @@ def _in_natural_order(folder: Path) -> list[tuple[str, int]]:
     return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D*)(\d*)", str(folder))]
 
 
-def _label(folder: Path, folders: list[Path]) -> str:
-    """The part of the folder's name in which it differs from the others: seed=3 of seed=3,trainer.frames=100000."""
-    words = [set(other.name.split(",")) for other in folders]
-    common = set.intersection(*words) if len(folders) > 1 else set()
-    return ",".join(word for word in folder.name.split(",") if word not in common) or folder.name
+def _labels(folders: list[Path]) -> list[str]:
+    """The parts of the folders' names in which they differ: seed=3 of seed=3,trainer.frames=100000.
+
+    Where their own names do not tell them apart, those of the folders above them are added.
+    """
+    labels: list[str] = []
+    for depth in range(1, max(len(folder.parts) for folder in folders) + 1):
+        words = [[word for part in folder.parts[-depth:] for word in part.split(",")] for folder in folders]
+        common = set.intersection(*map(set, words)) if len(folders) > 1 else set()
+        labels = [",".join(word for word in own if word not in common) for own in words]
+        if len(set(labels)) == len(labels):
+            break
+    return [label or folder.name for label, folder in zip(labels, folders, strict=True)]
 
 
 def _read_run(folder: Path, label: str) -> RunResult:

@@ -160,6 +160,13 @@ def test_runs_are_listed_in_natural_order(tmp_path):
     assert [run.label for run in find_runs([tmp_path])] == ["seed=9", "seed=10", "seed=100"]
 
 
+def test_runs_of_the_same_name_are_told_apart_by_the_folders_above(tmp_path):
+    for name in ("compile=true,loss=dqn/seed=1", "compile=true,loss=double_dqn/seed=1"):
+        (tmp_path / name / ".hydra").mkdir(parents=True)
+        (tmp_path / name / ".hydra" / "config.yaml").write_text("{}")
+    assert [run.label for run in find_runs([tmp_path])] == ["loss=double_dqn", "loss=dqn"]
+
+
 def test_report_tells_how_far_a_run_is_from_the_best_lap(run, tmp_path, capsys):
     assert main(["report", str(run), "--best-lap", "--bin-size", "0.7"]) == 0
     table, best_lap = capsys.readouterr().out.split("\n\n")
