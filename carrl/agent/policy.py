@@ -20,6 +20,8 @@ class GreedyPolicy(TensorDictModuleBase):
     """The actions of the highest value, each car's by its own agent's network.
 
     Reads `observation` [B, R]; writes `action_value` [B, 3], `chosen_action_value` [B, 1] and `action` [B], int64, as
+    each network does. The networks' parameters become views of stacked ones, so that the policy follows whatever
+    trains them.
 
     Args:
         networks: one for each agent, all of one shape.
@@ -35,6 +37,7 @@ class GreedyPolicy(TensorDictModuleBase):
         parameters = [dict(each.named_parameters()) for each in layers]
         self._stacked = {name: stack_in_place([of_one[name] for of_one in parameters]) for name in parameters[0]}
         self._layers = layers[:1]  # in a list, which hides it from torch: the collector would copy its parameters
+        self._is_layered = isinstance(layers[0], nn.Sequential) and all(map(_is_simple, layers[0]))
         self._observe_action = observe_action
         self.agents = len(networks)
 
@@ -42,7 +45,7 @@ class GreedyPolicy(TensorDictModuleBase):
         """The value of every action, [B, 3]: observations [B, R] as the environment gives them."""
         by_agent = observation.view(self.agents, -1, observation.shape[-1])
         (layers,) = self._layers
-        if isinstance(layers, nn.Sequential) and all(map(_is_simple, layers)):
+        if self._is_layered:
             return self._layer_by_layer(layers, by_agent).flatten(0, 1)
         compute = torch.vmap(lambda own, observed: functional_call(layers, own, (observed,)))
         return compute(self._stacked, by_agent).flatten(0, 1)
