@@ -22,14 +22,18 @@ def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
     return {**os.environ, **ONE_THREAD, **(extra or {})}
 
 
-def run_child(arguments: Sequence[str]) -> tuple[str, str]:
+def run_child(arguments: Sequence[str], extra: Mapping[str, str] | None = None) -> tuple[str, str]:
     """Runs Python on the arguments in the project's folder and returns its stdout and stderr.
+
+    Args:
+        arguments: of Python.
+        extra: variables to add to the environment.
 
     Raises:
         BenchError: it failed; the message ends with the last line of its stderr.
     """
     command = [sys.executable, *arguments]
-    done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, env=environment(extra), capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise BenchError(f"`python {' '.join(arguments)}` failed: {last_line(done.stderr)}")
     return done.stdout, done.stderr

@@ -37,9 +37,9 @@ def fastest(rounds: Rounds, titles: Sequence[str]) -> str | None:
     return max(measured, key=lambda title: _median_speed(rounds[title])) if measured else None
 
 
-def ratios(own: Sequence[Measurement], reference: Sequence[Measurement]) -> list[float]:
+def ratios(own: Sequence[float], reference: Sequence[float]) -> list[float]:
     """How many times as fast as the reference, round by round."""
-    return [mine.frames_per_s / theirs.frames_per_s for mine, theirs in zip(own, reference, strict=True)]
+    return [mine / theirs for mine, theirs in zip(own, reference, strict=True)]
 
 
 def speed_row(title: str, rounds: Rounds, reference: str | None) -> list[str]:
@@ -49,7 +49,7 @@ def speed_row(title: str, rounds: Rounds, reference: str | None) -> list[str]:
     middle = sorted(own, key=lambda each: each.frames_per_s)[len(own) // 2]
     against = ["-", "-"]
     if reference is not None:
-        by_round = ratios(own, rounds[reference])
+        by_round = ratios(speeds, [each.frames_per_s for each in rounds[reference]])
         against = [
             f"{_median_speed(own) / _median_speed(rounds[reference]):.2f}",
             f"{min(by_round):.2f}..{max(by_round):.2f}",

@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("carrl", "torch", "torchrl", "tensordict", "stable-baselines3", "gymnasium", "numpy", "numba")
+PACKAGES = ("carrl", "torch", "torchrl", "tensordict", "stable-baselines3", "vmas", "gymnasium", "numpy", "numba")
 
 
 def describe_machine() -> dict[str, Any]:

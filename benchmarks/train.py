@@ -5,14 +5,14 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from benchmarks import figures, profiling, recipes
 from benchmarks.child import BenchError
 from benchmarks.contestants import CONTESTANTS, MINIMUM_FRAMES, SB3, Contestant
 from benchmarks.figures import Measurement
 from benchmarks.machine import describe_machine, machine_line
+from benchmarks.options import Parser, names_of, positive, tell, writable
 
 PROFILED = ("compiled", "compiled-ten")
 NOTES = (
@@ -23,12 +23,6 @@ NOTES = (
     "environments and has its layer sizes written into the code; the plain loop stands in for it.",
 )
 Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """Ends with one sentence and exit code 2."""
-        self.exit(2, f"scripts/bench train: {message}\n")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -56,68 +50,46 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parse(argv: list[str] | None) -> argparse.Namespace:
-    parser = _Parser(prog="scripts/bench train", description=__doc__)
+    parser = Parser(prog="scripts/bench train", description=__doc__)
     names = ", ".join(CONTESTANTS)
-    parser.add_argument("--rounds", type=_positive(int), default=3, metavar="N", help="of all contestants in turn")
+    parser.add_argument("--rounds", type=positive(int), default=3, metavar="N", help="of all contestants in turn")
     parser.add_argument(
-        "--only", type=_names, default=list(CONTESTANTS), metavar="NAME,...", help=f"contestants, of: {names}"
+        "--only",
+        type=names_of(list(CONTESTANTS)),
+        default=list(CONTESTANTS),
+        metavar="NAME,...",
+        help=f"contestants, of: {names}",
     )
     parser.add_argument(
         "--scale",
-        type=_positive(float),
+        type=positive(float),
         default=1.0,
         metavar="X",
         help="times the env steps; 0.1 for a quick look, in which fixed costs weigh more",
     )
     parser.add_argument("--recipes", action="store_true", help="also time each recipe to its first greedy lap")
-    parser.add_argument("--recipe-seeds", type=_positive(int), default=3, metavar="N", help="seeds 0 to N-1 of each")
+    parser.add_argument("--recipe-seeds", type=positive(int), default=3, metavar="N", help="seeds 0 to N-1 of each")
     parser.add_argument("--profile", action="store_true", help="also show where CarRL's time goes")
     parser.add_argument("--no-race", action="store_true", help="only what --recipes and --profile ask for")
     parser.add_argument("--markdown", action="store_true", help="print tables for a page")
-    parser.add_argument("--json", type=_writable, metavar="FILE", help="keep all figures, of every round")
+    parser.add_argument("--json", type=writable, metavar="FILE", help="keep all figures, of every round")
     arguments = parser.parse_args(argv)
     if arguments.no_race and not (arguments.recipes or arguments.profile):
         parser.error("--no-race leaves nothing to do; add --recipes or --profile")
     return arguments
 
 
-def _positive(kind: type[int] | type[float]) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        value = kind(text)
-        if not 0 < value < 1e6:
-            raise argparse.ArgumentTypeError(f"{text} is not above 0 and below a million")
-        return value
-
-    parse.__name__ = "whole number" if kind is int else "number"
-    return parse
-
-
-def _names(text: str) -> list[str]:
-    names = text.split(",")
-    for name in names:
-        if name not in CONTESTANTS:
-            raise argparse.ArgumentTypeError(f"no contestant '{name}'; choose from: {', '.join(CONTESTANTS)}")
-    return [name for name in CONTESTANTS if name in names]
-
-
-def _writable(text: str) -> Path:
-    path = Path(text)
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise argparse.ArgumentTypeError(f"'{text}' cannot be written; name a file in a folder that exists")
-    return path
-
-
 def _race(contestants: Sequence[Contestant], arguments: argparse.Namespace, table: Table) -> dict[str, Any]:
     """Measures all contestants in turn, round after round, and prints the table."""
     for contestant in contestants:  # fills the caches of compiled code, and finds early what does not run
-        _tell(f"warm-up: {contestant.title}")
+        tell(f"warm-up: {contestant.title}")
         contestant.measure(MINIMUM_FRAMES)
     rounds: dict[str, list[Measurement]] = {contestant.title: [] for contestant in contestants}
     for number in range(1, arguments.rounds + 1):
         for contestant in contestants:
             measured = contestant.measure(max(MINIMUM_FRAMES, round(contestant.frames * arguments.scale)))
             rounds[contestant.title].append(measured)
-            _tell(f"round {number} of {arguments.rounds}: {contestant.title}: {measured.frames_per_s:,.0f} frames/s")
+            tell(f"round {number} of {arguments.rounds}: {contestant.title}: {measured.frames_per_s:,.0f} frames/s")
     reference = figures.fastest(rounds, list(SB3.values()))
     print(table(figures.HEADER, [figures.speed_row(title, rounds, reference) for title in rounds]))
     print(f"\nMedians of {arguments.rounds} interleaved rounds; frames, updates and seconds are the median round's.")
@@ -145,16 +117,12 @@ def _time_recipes(seeds: int, table: Table) -> dict[str, Any]:
 def _profile(scale: float, table: Table) -> dict[str, list[list[str]]]:
     found = {}
     for contestant in (CONTESTANTS[name] for name in PROFILED):
-        _tell(f"profile: {contestant.title}")
+        tell(f"profile: {contestant.title}")
         frames = max(MINIMUM_FRAMES, round(contestant.frames * scale))
         found[contestant.title] = profiling.profile_rows(True, contestant.seeds, frames)
         print(f"{contestant.title}, {frames:,} env steps a seed. cProfile slows Python down, and native code not:\n")
         print(table(profiling.HEADER, found[contestant.title]) + "\n")
     return found
-
-
-def _tell(message: str) -> None:
-    print(message, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -191,7 +191,7 @@ def test_a_compiled_run_that_could_not_be_compiled_is_refused(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "frames", "updates"), [("sb3-one-car", 200, 72), ("sb3-many-cars", 224, 96), ("plain-loop", 200, 73)]
+    ("name", "frames", "updates"), [("sb3-one-car", 200, 72), ("sb3-many-cars", 256, 128), ("plain-loop", 200, 73)]
 )
 def test_a_peer_makes_an_update_for_each_env_step_once_there_is_a_minibatch(name, frames, updates):
     if name in SB3 and importlib.util.find_spec("stable_baselines3") is None:

@@ -11,6 +11,7 @@ VERBS = {
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
     "report": "compare runs: a table, and their learning curves in one picture",
     "log": "look into a run's MCAP log",
+    "track": "list, draw, check and make up tracks",
 }
 _VERB_LINES = "\n".join(f"  {verb:<10}{what}" for verb, what in VERBS.items())
 USAGE = f"usage: carrl VERB ...\n\n{_VERB_LINES}\n\ncarrl VERB --help tells more."

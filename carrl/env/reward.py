@@ -56,11 +56,8 @@ class Reward:
             [B, 4], float32.
         """
         near = self.is_near_wall(readings) & ~collided
-        counts = torch.stack([collided, near, gates_passed], dim=-1).to(readings.dtype)
-        paper = counts * counts.new_tensor([self.collision, self.proximity, self.gate])
-        steer, last_steer = _steer(action), _steer(last_action)
-        steering = self.turn * steer.abs() + self.switch * (steer - last_steer).abs()
-        return torch.cat([paper, steering[..., None].to(paper.dtype)], dim=-1)
+        paper = collided * self.collision, near * self.proximity, gates_passed * self.gate
+        return torch.stack([*paper, self._steering(action, last_action)], dim=-1).to(readings.dtype)
 
     @staticmethod
     def of_paper(terms: Tensor) -> Tensor:
@@ -71,6 +68,12 @@ class Reward:
     def of_steering(terms: Tensor) -> Tensor:
         """What the paper's terms leave: [..., 4] to [...]."""
         return terms[..., -1]
+
+    def _steering(self, action: Tensor, last_action: Tensor) -> Tensor:
+        if not self.turn and not self.switch:
+            return torch.zeros(action.shape, device=action.device)
+        steer, last_steer = _steer(action), _steer(last_action)
+        return self.turn * steer.abs() + self.switch * (steer - last_steer).abs()
 
 
 def _steer(action: Tensor) -> Tensor:

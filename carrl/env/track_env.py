@@ -11,13 +11,13 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from carrl.env.observation import FIRST_ACTION, observation_size, observe
 from carrl.env.reward import TERMS, Reward
+from carrl.env.task import Situation, Task, Tracks
 from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator, State
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Action, VehicleModel
 
 
 class TrackEnv(EnvBase):
@@ -34,65 +34,94 @@ class TrackEnv(EnvBase):
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
     | `last_action` | [N] int64 | of the step before; forward after a reset |
+    | `track` | [N] int64 | index into `tracks` of what the car drives on |
 
     The state of the cars travels in the TensorDict; the environment keeps only its random generators, which drive
-    random starts and `rand_action`. The same seed gives the same rollout, whatever other code draws from torch.
+    random starts, sensor noise and `rand_action`. The same seed gives the same rollout, whatever other code draws from
+    torch.
 
     Args:
-        track: a track, or what `Track.load` takes.
+        track: a track, or what `Track.load` takes; or a list of such, of which car i drives on number i modulo their
+            number.
         num_envs: how many cars, N; so many for each seed, if there are several.
         device: where the tensors live.
         seed: of the environment's generator; None for a fresh one. Several seeds put several environments into one, one
             after the other, each of whose cars drive as they would alone.
         vehicle: the car.
-        sensor: its rays.
-        reward: what a step earns.
+        sensor: its rays, and how far they err.
+        reward: what a step earns; it counts true distances, whatever the sensor reads.
         max_steps: length at which an episode is truncated, steps.
         random_start: start anywhere along the centreline instead of on the start line.
+        start_offset: how far beside the centreline an episode may start, as a share of the room there, 0..1.
+        heading_jitter: how far an episode's first heading may deviate from the driving direction, degrees.
+        sample_track: draw each car's track anew for each episode.
+        mirrored: drive every other episode, by chance, on the mirror image of the track.
+        reversed: drive every other episode, by chance, the other way round.
         observe_action: append the last action to the observation, one-hot: [N, R + 3].
 
     Raises:
-        TrackError: the track cannot be loaded.
+        TrackError: a track cannot be loaded.
         ConfigError: a parameter is out of its range.
     """
 
     def __init__(
         self,
-        track: Track | str = "paper",
+        track: Tracks = "paper",
         num_envs: int = 1,
         device: torch.device | str = "cpu",
         seed: int | Sequence[int] | None = None,
         *,
-        vehicle: Vehicle | None = None,
+        vehicle: VehicleModel | None = None,
         sensor: Sensor | None = None,
         reward: Reward | None = None,
         max_steps: int = 1000,
         random_start: bool = False,
+        start_offset: float = 0.0,
+        heading_jitter: float = 0.0,
+        sample_track: bool = False,
+        mirrored: bool = False,
+        reversed: bool = False,
         observe_action: bool = False,
     ) -> None:
         """Builds the simulator and declares the specs."""
-        if num_envs < 1:
-            raise ConfigError(f"env.num_envs is {num_envs}; it must be at least 1")
-        if max_steps < 1:
-            raise ConfigError(f"env.max_steps is {max_steps}; it must be at least 1")
         seeds = [seed] if seed is None or isinstance(seed, int) else list(seed)
         if not seeds:
             raise ConfigError("seed names no seed; give a whole number, or a list of them")
-        super().__init__(device=device, batch_size=[num_envs * len(seeds)])
-        self.max_steps = max_steps
-        self.random_start = random_start
-        self.observe_action = observe_action
-        self.reward = reward or Reward()
-        track = track if isinstance(track, Track) else Track.load(track)
-        self.simulator = Simulator(track, vehicle or Vehicle(), sensor or Sensor(), self.device)
-        self._generators = [_generator(each) for each in seeds]
-        self._share = num_envs
+        task = Task(
+            track,
+            num_envs,
+            seeds,
+            device,
+            vehicle=vehicle,
+            sensor=sensor,
+            reward=reward,
+            max_steps=max_steps,
+            random_start=random_start,
+            start_offset=start_offset,
+            heading_jitter=heading_jitter,
+            sample_track=sample_track,
+            mirrored=mirrored,
+            reversed=reversed,
+            observe_action=observe_action,
+        )
+        super().__init__(device=device, batch_size=[task.cars])
+        self.task = task
         self._declare_specs()
-        self._start_line = self._start(torch.zeros(self.batch_size, dtype=torch.float64))
+        self._first_start = self._begin(task.start())
+
+    @property
+    def simulator(self) -> Simulator:
+        """What moves the cars."""
+        return self.task.simulator
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """What the key `track` counts: the tracks given, each with its variants if there are any."""
+        return self.simulator.tracks
 
     @property
     def track(self) -> Track:
-        """The track that all cars drive on."""
+        """The first track: the only one, if there is one."""
         return self.simulator.track
 
     @property
@@ -107,90 +136,64 @@ class TrackEnv(EnvBase):
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
         """Draws an action for every car from the environment's own generators."""
-        drawn = [torch.randint(len(Action), (self._share,), generator=each) for each in self._generators]
-        action = torch.cat(drawn).to(self.device)
+        action = self.task.streams.integers(len(Action)).to(self.device)
         if tensordict is None:
             return TensorDict({"action": action}, batch_size=self.batch_size, device=self.device)
         return tensordict.set("action", action)
 
     def _reset(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        """All cars at the start; in a partial reset EnvBase keeps the others as they were."""
-        if not self.random_start:
-            return self._start_line.clone()
-        wanted = torch.ones(self.batch_size, dtype=torch.bool)
-        if tensordict is not None and "_reset" in tensordict:
-            wanted = tensordict["_reset"].view(-1).cpu()
-        return self._start(self._draw_stations(wanted))
-
-    def _draw_stations(self, wanted: Tensor) -> Tensor:
-        """Places along the track, [N]; a generator is only drawn from if one of its own cars is `wanted`, [N]."""
-        stations = torch.zeros(self.batch_size, dtype=torch.float64)
-        for each, share, cars in zip(
-            self._generators, stations.split(self._share), wanted.split(self._share), strict=True
-        ):
-            if cars.any():
-                share.copy_(torch.rand(self._share, dtype=torch.float64, generator=each))
-        return stations * self.track.length
+        """All cars at the start, of which EnvBase takes those that `_reset` names."""
+        start = self._first_start.clone()
+        if self.task.starts_alike:
+            return start
+        if tensordict is None or "_reset" not in tensordict:
+            return self._begin(self.task.start())
+        wanted = tensordict["_reset"].view(-1)
+        index = wanted.nonzero()[:, 0]
+        for key, values in _as_dict(self.task.start(wanted)).items():
+            start[key].index_copy_(0, index, values)
+        return start
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        before = State(tensordict["pose"], tensordict["next_gate"], tensordict["gates_passed"])
-        outcome = self.simulator.step(before, tensordict["action"])
-        action = tensordict["action"]
-        readings = outcome.ranges / self.sensor_range
-        reward_terms = self.reward.terms(
-            readings, outcome.collided, outcome.gates_passed, action, tensordict["last_action"]
-        )
-        step = tensordict["step"] + 1
-        truncated = (step >= self.max_steps) & ~outcome.collided
-        after = self._pack(outcome.state, readings, reward_terms, step, action)
-        return after.update(
-            {
-                "reward": reward_terms.sum(dim=-1, keepdim=True),
-                "terminated": outcome.collided[:, None],
-                "truncated": truncated[:, None],
-                "done": (outcome.collided | truncated)[:, None],
-            }
-        )
+        state = State(*(tensordict[key] for key in State._fields))
+        before = Situation(state, *(tensordict[key] for key in Situation._fields[1:]))
+        after = self.task.step(before, tensordict["action"])
+        values = _as_dict(after.situation) | {
+            "reward_terms": after.reward_terms,
+            "reward": after.reward_terms.sum(dim=-1, keepdim=True),
+            "terminated": after.terminated[:, None],
+            "truncated": after.truncated[:, None],
+            "done": (after.terminated | after.truncated)[:, None],
+        }
+        return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        for offset, generator in enumerate(self._generators):
-            generator.manual_seed((0 if seed is None else seed) + offset)
+        self.task.streams.seed(0 if seed is None else seed)
 
-    def _start(self, stations: Tensor) -> TensorDict:
-        """The cars at the start of an episode, not done: stations [N], m."""
-        state = self.simulator.start(stations)
-        readings = self.simulator.sense(state.pose) / self.sensor_range
-        terms = readings.new_zeros(*self.batch_size, len(TERMS))
-        first_action = torch.full_like(state.next_gate, FIRST_ACTION)
-        not_done = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
-        return self._pack(state, readings, terms, torch.zeros_like(state.next_gate), first_action).update(
-            {"done": not_done, "terminated": not_done.clone(), "truncated": not_done.clone()}
-        )
-
-    def _pack(
-        self, state: State, readings: Tensor, reward_terms: Tensor, step: Tensor, last_action: Tensor
-    ) -> TensorDict:
-        values = {
-            "observation": observe(readings, last_action, self.observe_action),
-            "reward_terms": reward_terms,
-            "step": step,
-            "last_action": last_action.clone(),
-            **state._asdict(),
-        }
+    def _begin(self, situation: Situation) -> TensorDict:
+        """All cars at the start of an episode, not done."""
+        terms = situation.observation.new_zeros(*self.batch_size, len(TERMS))
+        flags = {key: torch.zeros(*self.batch_size, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        values = _as_dict(situation) | {"reward_terms": terms} | flags
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _declare_specs(self) -> None:
         cars = self.batch_size[0]
         options = {"device": self.device}
         count = Unbounded((cars,), dtype=torch.int64, **options)
+
+        def index(high: int) -> Categorical:
+            return Categorical(high, shape=(cars,), dtype=torch.int64, **options)
+
         state = {
             "pose": Unbounded((cars, 3), dtype=torch.float32, **options),
-            "next_gate": Categorical(self.track.gate_count, shape=(cars,), dtype=torch.int64, **options),
+            "next_gate": index(max(track.gate_count for track in self.tracks)),
             "gates_passed": count,
+            "track": index(len(self.tracks)),
             "step": count.clone(),
-            "last_action": Categorical(len(Action), shape=(cars,), dtype=torch.int64, **options),
+            "last_action": index(len(Action)),
         }
-        size = observation_size(self.simulator.sensor.rays, self.observe_action)
+        size = self.task.observation_size
         self.observation_spec = Composite(
             observation=Bounded(0.0, 1.0, shape=(cars, size), dtype=torch.float32, **options),
             reward_terms=Unbounded((cars, len(TERMS)), dtype=torch.float32, **options),
@@ -199,15 +202,13 @@ class TrackEnv(EnvBase):
             **options,
         )
         self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,), **options)
-        self.action_spec = Categorical(len(Action), shape=(cars,), dtype=torch.int64, **options)
+        self.action_spec = index(len(Action))
         self.reward_spec = Unbounded((cars, 1), dtype=torch.float32, **options)
         flag = Binary(1, shape=(cars, 1), dtype=torch.bool, **options)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options)
 
 
-def _generator(seed: int | None) -> torch.Generator:
-    generator = torch.Generator()
-    if seed is None:
-        generator.seed()
-        return generator
-    return generator.manual_seed(seed)
+def _as_dict(situation: Situation) -> dict[str, Tensor]:
+    """By the names of the keys."""
+    state, *others = situation
+    return state._asdict() | dict(zip(Situation._fields[1:], others, strict=True))

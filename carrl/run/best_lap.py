@@ -3,7 +3,6 @@
 Shapes: `B` drives that the search carries on side by side.
 """
 
-import copy
 import math
 from typing import NamedTuple
 
@@ -19,19 +18,11 @@ from carrl.sim.vehicle import Action
 _TURN, _SWITCH, _STEP = 2**40, 2**20, 1
 """What each adds to a cost: digits of one number, so that costs compare as (turns, switches, steps) do."""
 _NEVER = 2**62
-_CHUNK = 1024
-"""Drives simulated at once: few, so that they are close together and few walls are near."""
 _MEMORY_SLOTS = 2**22 - 3
 """A prime number, so that places spread evenly over the slots."""
 
 
-def find_best_lap(
-    simulator: Simulator,
-    reward: Reward,
-    bin_size: float = 0.25,
-    direct_switches: bool = True,
-    turns_per_switch: float = 0.0,
-) -> Drive:
+def find_best_lap(simulator: Simulator, reward: Reward, bin_size: float = 0.25) -> Drive:
     """The lap from the start line with the fewest turns, then the fewest switches, then the fewest steps.
 
     Only laps without a collision and without a step near a wall count. A turn is a step with the action left or
@@ -46,14 +37,12 @@ def find_best_lap(
         simulator: the track, the car and its sensor.
         reward: tells which steps are near a wall.
         bin_size: side of the squares, m. Half of it takes three to five times as long.
-        direct_switches: whether left may follow right, or right left, with no step forward between them.
-        turns_per_switch: how many turns more are worth a switch less; 0 compares switches only where turns are even.
 
     Returns:
         The lap as `evaluation.drive` measures it when the actions found are driven again.
 
     Raises:
-        ConfigError: a parameter outside its range.
+        ConfigError: `bin_size` is outside its range.
         TrackError: no lap was found within the time limit of `evaluation.drive`.
     """
     largest = simulator.vehicle.step_length / math.sqrt(2)
@@ -62,9 +51,7 @@ def find_best_lap(
             f"bin_size is {bin_size}; it must be positive and at most {largest:.3g} m, "
             "so that every step leads to another square"
         )
-    if not 0 <= turns_per_switch <= 100:
-        raise ConfigError(f"turns_per_switch is {turns_per_switch}; it must lie between 0 and 100")
-    actions = _Search(simulator, reward, bin_size, direct_switches, turns_per_switch).run()
+    actions = _Search(simulator, reward, bin_size).run()
     if actions is None:
         raise TrackError(
             f"track '{simulator.track.name}': found no lap without a collision or a step near a wall; "
@@ -100,12 +87,8 @@ class _Front(NamedTuple):
 class _Search:
     """The search and its memory of places; the arguments are those of `find_best_lap`."""
 
-    def __init__(
-        self, simulator: Simulator, reward: Reward, bin_size: float, direct_switches: bool, turns_per_switch: float
-    ) -> None:
-        self.simulator, self.reward = simulator, reward
-        self.bin_size, self.direct_switches = bin_size, direct_switches
-        self.switch_cost = _SWITCH + round(turns_per_switch * _TURN)
+    def __init__(self, simulator: Simulator, reward: Reward, bin_size: float) -> None:
+        self.simulator, self.reward, self.bin_size = simulator, reward, bin_size
         self.step_limit = round(TIME_LIMIT_LAPS * simulator.lap_steps)
         # A hash table: each slot holds a place and its cheapest cost for each last action. A new place takes over the
         # slot of another one; what is forgotten is searched again, so this costs time only.
@@ -124,7 +107,7 @@ class _Search:
             # This ends completed laps too: one step more costs more than the lap.
             front = self._keep_cheapest(front.take(front.cost < best_cost))
             history.append((front.parent.int(), front.action.to(torch.int8)))
-            completed = front.state.gates_passed >= self.simulator.track.gate_count
+            completed = self.simulator.has_lapped(front.state)
             for index in completed.nonzero()[:, 0].tolist():
                 if front.cost[index] < best_cost:
                     best_cost, best_index, best_steps = int(front.cost[index]), index, len(history)
@@ -136,37 +119,15 @@ class _Search:
 
     def _expand(self, front: _Front) -> _Front:
         """All drives one step further that neither collide nor come near a wall."""
-        indices = torch.arange(len(front.cost), device=self.simulator.device)
-        chunks = [self._expand_chunk(front, index) for index in indices.split(_CHUNK)]
-        states = map(torch.cat, zip(*(chunk.state for chunk in chunks), strict=True))
-        return _Front(State(*states), *map(torch.cat, zip(*(chunk[1:] for chunk in chunks), strict=True)))
-
-    def _expand_chunk(self, front: _Front, index: Tensor) -> _Front:
-        parent = index.repeat(len(Action))
+        parent = torch.arange(len(front.cost), device=self.simulator.device).repeat(len(Action))
         before = front.take(parent)
-        action = torch.arange(len(Action), device=index.device).repeat_interleave(len(index))
-        outcome = self._nearby(before.state.pose).step(before.state, action)
+        action = torch.arange(len(Action), device=parent.device).repeat_interleave(len(front.cost))
+        outcome = self.simulator.step(before.state, action)
         near_wall = self.reward.is_near_wall(outcome.ranges / self.simulator.sensor.max_range)
         switched = (before.action >= 0) & (before.action != action)
-        allowed = ~outcome.collided & ~near_wall
-        if not self.direct_switches:
-            allowed &= ~switched | (before.action == Action.FORWARD) | (action == Action.FORWARD)
-        cost = before.cost + _TURN * (action != Action.FORWARD) + self.switch_cost * switched + _STEP
+        cost = before.cost + _TURN * (action != Action.FORWARD) + _SWITCH * switched + _STEP
         left_turns = before.left_turns + (action == Action.LEFT).long() - (action == Action.RIGHT).long()
-        return _Front(outcome.state, left_turns, action, cost, parent).take(allowed)
-
-    def _nearby(self, pose: Tensor) -> Simulator:
-        """The simulator with only the walls that one step from the poses [B, 3] can hit or come near."""
-        near = min(self.reward.proximity_threshold, 1.0) * self.simulator.sensor.max_range
-        reach = self.simulator.vehicle.step_length + max(near, self.simulator.vehicle.body_radius)
-        margin = 0.01 * reach  # For rounding.
-        low, high = pose[:, :2].amin(0) - reach - margin, pose[:, :2].amax(0) + reach + margin
-        walls = self.simulator.walls
-        is_near = ((walls.amin(1) <= high) & (walls.amax(1) >= low)).all(1)
-        is_near[0] = True  # The simulator needs one wall at least.
-        local = copy.copy(self.simulator)
-        local.walls = walls[is_near]
-        return local
+        return _Front(outcome.state, left_turns, action, cost, parent).take(~outcome.collided & ~near_wall)
 
     def _keep_cheapest(self, front: _Front) -> _Front:
         """The drives that no other one makes needless, of those in this front and in all fronts before."""
@@ -186,14 +147,13 @@ class _Search:
         entry = (slot * len(Action) + front.action)[is_known]
         self.costs.view(-1).scatter_reduce_(0, entry, front.cost[is_known], "amin")
         known = torch.where(is_known[:, None], self.costs[slot], _NEVER)
-        # A drive of another last action can go on as this one does, for at most one switch more.
-        rival = known.amin(dim=1) if self.direct_switches else known[:, Action.FORWARD]
         is_cheapest = front.cost <= known.gather(1, front.action[:, None])[:, 0]
-        return front.take(is_cheapest & (front.cost < rival + self.switch_cost))
+        # A drive of another last action can go on as this one does, for at most one switch more.
+        return front.take(is_cheapest & (front.cost < known.amin(dim=1) + _SWITCH))
 
     def _place(self, front: _Front) -> Tensor:
         """A number for each combination of square, heading and gates passed, [B], int64."""
-        corners = self.simulator.walls.flatten(0, 1).double()
+        corners = self.simulator.track.walls.flatten(0, 1).double().to(self.simulator.device)
         low, high = corners.amin(0), corners.amax(0)
         column, row = ((front.state.pose[:, :2] - low) / self.bin_size).long().unbind(1)
         square = column * (int((high - low)[1] / self.bin_size) + 1) + row

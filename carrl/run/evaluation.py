@@ -13,7 +13,8 @@ from torch import Tensor
 from torchrl.modules import QValueActor
 
 from carrl.agent.policy import GreedyPolicy
-from carrl.env.observation import FIRST_ACTION
+from carrl.env.observation import FIRST_ACTION, read
+from carrl.env.random_streams import RandomStreams
 from carrl.env.reward import Reward
 from carrl.errors import ConfigError
 from carrl.sim.simulator import Outcome, Simulator, State
@@ -24,6 +25,9 @@ Policy = Callable[[Tensor, Tensor], Tensor]
 
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
+
+SENSOR_SEED = 0
+"""Of what a noisy sensor reads, so that the same policy drives the same drive again."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +107,13 @@ def drive_from(simulator: Simulator, reward: Reward, policy: Policy, stations: T
     """Drives one lap from each of these places, m along the centreline, [B]."""
     stations = stations.double()
     state = simulator.start(stations)
-    ranges = simulator.sense(state.pose)
+    ranges = simulator.sense(state)
+    streams = RandomStreams([SENSOR_SEED], len(stations))
     nothing = torch.zeros_like(state.next_gate)
     outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], [nothing + FIRST_ACTION]
     driving = ~nothing.bool()
     for _ in range(round(TIME_LIMIT_LAPS * simulator.lap_steps)):
-        action = policy(outcomes[-1].ranges / simulator.sensor.max_range, actions[-1])
+        action = policy(read(simulator.sensor, outcomes[-1].ranges, streams), actions[-1])
         outcome = simulator.step(outcomes[-1].state, action)
         actions.append(action)
         outcomes.append(outcome)
@@ -119,7 +124,7 @@ def drive_from(simulator: Simulator, reward: Reward, policy: Policy, stations: T
 
 
 def _has_ended(outcome: Outcome, simulator: Simulator) -> Tensor:
-    return outcome.collided | (outcome.state.gates_passed >= simulator.track.gate_count)
+    return outcome.collided | simulator.has_lapped(outcome.state)
 
 
 def _stack(outcomes: list[Outcome]) -> Outcome:
@@ -141,7 +146,7 @@ def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Rewa
     near = reward.is_near_wall(readings)
     terms = reward.terms(readings, course.collided[1:], course.gates_passed[1:], actions[1:], actions[:-1])
     state = State(*(values[last] for values in course.state))
-    progress = simulator.progress(state, stations).tolist()
+    progress, lapped = simulator.progress(state, stations).tolist(), simulator.has_lapped(state).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
         driven = actions[1 : steps + 1, car]
@@ -150,7 +155,7 @@ def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Rewa
         drives.append(
             Drive(
                 start=stations[car].item(),
-                lap_completed=bool(state.gates_passed[car] >= simulator.track.gate_count),
+                lap_completed=lapped[car],
                 collided=bool(course.collided[steps, car]),
                 progress=progress[car],
                 lap_reward=reward.of_paper(terms)[:steps, car].sum().item(),

@@ -6,10 +6,10 @@ Shapes: `P` points.
 from dataclasses import dataclass
 
 import numpy as np
-from shapely import Point, Polygon
-from shapely.geometry.polygon import orient
 
+from carrl.errors import TrackError
 from carrl.sim.centreline import Centreline
+from carrl.sim.drawing import rounded_polygon
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,10 @@ class Drawing:
 
     def centreline(self) -> Centreline:
         """The rounded polygon as a centreline of evenly spaced points."""
-        radius, arcs = self.corner_radius, {"quad_segs": 64}
-        # Shrinking by the radius and growing back rounds the corners to the left, and the reverse those to the right.
-        rounded = Polygon(self.corners).buffer(-radius, **arcs).buffer(2 * radius, **arcs).buffer(-radius, **arcs)
-        ring = orient(rounded).exterior
-        start = ring.project(Point(np.mean(self.corners[:2], axis=0)))
-        count = round(ring.length / self.point_spacing)
-        stations = (start + np.arange(count) * ring.length / count) % ring.length
-        points = np.array([ring.interpolate(station).coords[0] for station in stations])
-        half_width = np.full(count, self.width / 2)
+        points = rounded_polygon(np.array(self.corners), self.corner_radius, self.point_spacing)
+        if points is None:
+            raise TrackError(f"a track has no room for corners of radius {self.corner_radius} m")
+        half_width = np.full(len(points), self.width / 2)
         return Centreline(points=points, width_right=half_width, width_left=half_width)
 
 

@@ -24,7 +24,7 @@ def ray_distances(origins: Tensor, angles: Tensor, segments: Tensor, max_range: 
     Args:
         origins: where the rays start, [B, 2], m.
         angles: where they point, [B, R], rad, in the same frame as the segments.
-        segments: [S, 2, 2], m.
+        segments: the same for all, [S, 2, 2], or each origin's own, [B, S, 2, 2], m.
         max_range: the distance reported where a ray meets nothing nearer, m.
 
     Returns:
@@ -32,9 +32,9 @@ def ray_distances(origins: Tensor, angles: Tensor, segments: Tensor, max_range: 
     """
     angles = angles.double()
     directions = torch.stack([angles.cos(), angles.sin()], dim=-1)[:, :, None]
-    segments = segments.double()
-    edges = segments[:, 1] - segments[:, 0]
-    to_start = segments[:, 0] - origins.double()[:, None, None]
+    first, last = segments.double().unsqueeze(-4).unbind(-2)
+    edges = last - first
+    to_start = first - origins.double()[:, None, None]
     denominator = cross(directions, edges)
     distance = cross(to_start, edges) / denominator
     position = cross(to_start, directions) / denominator
@@ -53,11 +53,15 @@ def point_segment_distances(points: Tensor, starts: Tensor, ends: Tensor) -> Ten
 
 
 def crosses(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:
-    """Whether each path start-end properly crosses each segment: [B, 2], [B, 2], [S, 2, 2] to [B, S] bool."""
+    """Whether each path start-end properly crosses each segment: [B, 2], [B, 2], [S, 2, 2] to [B, S] bool.
+
+    The segments may be each path's own, [B, S, 2, 2].
+    """
     starts, ends = starts[:, None], ends[:, None]
-    path, edges = ends - starts, segments[:, 1] - segments[:, 0]
-    path_straddles = cross(edges, starts - segments[:, 0]) * cross(edges, ends - segments[:, 0]) < 0
-    segment_straddles = cross(path, segments[:, 0] - starts) * cross(path, segments[:, 1] - starts) < 0
+    first, last = segments.unbind(-2)
+    path, edges = ends - starts, last - first
+    path_straddles = cross(edges, starts - first) * cross(edges, ends - first) < 0
+    segment_straddles = cross(path, first - starts) * cross(path, last - starts) < 0
     return path_straddles & segment_straddles
 
 
@@ -67,13 +71,13 @@ def path_clearance(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:
     Args:
         starts: [B, 2], m.
         ends: [B, 2], m. May equal `starts`.
-        segments: [S, 2, 2], m.
+        segments: the same for all, [S, 2, 2], or each path's own, [B, S, 2, 2], m.
 
     Returns:
         [B], m; 0 where the path crosses a segment. Exact, since two segments that do not cross are nearest to each
         other at one of their four end points.
     """
-    first, last = segments[:, 0], segments[:, 1]
+    first, last = segments.unbind(-2)
     from_path = torch.minimum(
         point_segment_distances(starts[:, None], first, last), point_segment_distances(ends[:, None], first, last)
     )

@@ -3,11 +3,12 @@
 They compute what `carrl.sim.vehicle`, `carrl.sim.geometry` and `carrl.sim.simulator` state in torch; tests compare the
 two. All is float64 and rounded to float32 once, but for the pose, which is moved in float32 as torch moves it.
 
-Numba compiles them when they are first called, in about three seconds, and keeps the code in `__pycache__` beside this
-file. Where that cannot be written it uses the user's cache folder; NUMBA_CACHE_DIR names another one. Where none can be
+Numba compiles them when they are first called, in a few seconds, and keeps the code in `__pycache__` beside this file.
+Where that cannot be written it uses the user's cache folder; NUMBA_CACHE_DIR names another one. Where none can be
 written, every process compiles anew.
 
-Shapes: `B` cars, `R` rays, `S` walls, `G` gates. Lengths are in metres, angles in radians counter-clockwise from +x.
+Shapes: `B` cars, `R` rays, `A` actions; the others are those of `carrl.sim.terrain`. Lengths are in metres, angles in
+radians counter-clockwise from +x.
 """
 
 import math
@@ -19,36 +20,42 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from carrl.sim.vehicle import Vehicle
+from carrl.sim.terrain import Terrain
+from carrl.sim.vehicle import VehicleModel
 
-# Values of other modules are repeated here, since Numba's cache sees only changes to this file.
-_LEFT, _RIGHT = 1, 2
-_JOINT_TOLERANCE = 1e-9
+# Written out, since Numba's cache sees only changes to this file.
 _TINY = np.finfo(np.float64).tiny
+_LANES = 8
+"""Rays are computed so many at a time, which is as many numbers as fit into a register of the widest processors."""
 
 
 class World(NamedTuple):
-    """What stays the same from step to step; the arrays are C-contiguous and float64.
+    """What stays the same from step to step; the arrays are C-contiguous.
+
+    The first nine are those of `Terrain`.
 
     Attributes:
-        walls: x and y of each start, then of the way to the end, [S, 4], m.
-        circles: x, y and radius of a circle about each wall, [3, S], m.
-        gates: x and y of each left end, then of the way to the right end, [G, 4], m.
-        fan: cosine and sine of each ray's angle from the heading, [R, 2].
+        fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
+        rays: how many of them count.
         max_range: of the rays, m.
-        step_length: distance driven in one step, m.
-        yaw_per_step: change of heading in one turning step, rad.
+        manoeuvres: distance, bearing and yaw of each action, [A, 3], float32.
         body_radius: of the disc that must not touch a wall, m.
         most_gates: how many gates one step can cross at the most.
     """
 
     walls: np.ndarray
-    circles: np.ndarray
     gates: np.ndarray
+    first_gate: np.ndarray
+    level_of_gate: np.ndarray
+    corners: np.ndarray
+    shapes: np.ndarray
+    list_of_cell: np.ndarray
+    lists: np.ndarray
+    entries: np.ndarray
     fan: np.ndarray
+    rays: int
     max_range: float
-    step_length: float
-    yaw_per_step: float
+    manoeuvres: np.ndarray
     body_radius: float
     most_gates: int
 
@@ -57,8 +64,7 @@ class Kernels:
     """The compiled step and sense with the constants of one simulator: tensors in, tensors out, on the CPU.
 
     Args:
-        walls: [S, 2, 2], m.
-        gates: in driving order as (left end, right end), [G, 2, 2], m.
+        terrain: walls and gates.
         ray_angles: counter-clockwise from the heading, [R], rad.
         max_range: of the rays, m.
         vehicle: the car.
@@ -66,37 +72,37 @@ class Kernels:
     """
 
     def __init__(
-        self, walls: Tensor, gates: Tensor, ray_angles: Tensor, max_range: float, vehicle: Vehicle, most_gates: int
+        self, terrain: Terrain, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
     ) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
-        segments, angles = _as_segments(walls), ray_angles.double().numpy()
         self._world = World(
-            walls=segments,
-            circles=_bounding_circles(segments),
-            gates=_as_segments(gates),
-            fan=np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1)),
+            **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in terrain._asdict().items()},
+            fan=_fan(ray_angles),
+            rays=len(ray_angles),
             max_range=float(max_range),
-            step_length=float(vehicle.step_length),
-            yaw_per_step=float(vehicle.yaw_per_step),
+            manoeuvres=np.array(vehicle.manoeuvres, dtype=np.float32),
             body_radius=float(vehicle.body_radius),
             most_gates=most_gates,
         )
         no_pose, no_count = torch.zeros(0, 3), torch.zeros(0, dtype=torch.int64)
-        self.step(no_pose, no_count, no_count, no_count)
-        self.sense(no_pose)
+        self.step(no_pose, no_count, no_count, no_count, no_count)
+        self.sense(no_pose, no_count, no_count)
 
-    def sense(self, pose: Tensor) -> Tensor:
-        """The distances along the rays: poses [B, 3] to [B, R], float32, m, in [0, max_range]."""
-        return torch.from_numpy(_sense(self._world, _as_array(pose, torch.float32)))
+    def sense(self, pose: Tensor, next_gate: Tensor, track: Tensor) -> Tensor:
+        """The distances along the rays: poses [B, 3], gates [B], tracks [B] to [B, R], float32, m."""
+        counts = [_as_array(count, torch.int64) for count in (next_gate, track)]
+        return torch.from_numpy(_sense(self._world, _as_array(pose, torch.float32), *counts))
 
-    def step(self, pose: Tensor, next_gate: Tensor, gates_passed: Tensor, action: Tensor) -> tuple[Tensor, ...]:
+    def step(
+        self, pose: Tensor, next_gate: Tensor, gates_passed: Tensor, track: Tensor, action: Tensor
+    ) -> tuple[Tensor, ...]:
         """Moves every car by one time step.
 
         Returns:
             The pose [B, 3], next gate [B] and gates passed since the start [B]; then, of this step, the ranges
             [B, R], the collisions [B] and the gates passed [B].
         """
-        counts = [_as_array(count, torch.int64) for count in (next_gate, gates_passed, action)]
+        counts = [_as_array(count, torch.int64) for count in (next_gate, gates_passed, track, action)]
         return tuple(map(torch.from_numpy, _step(self._world, _as_array(pose, torch.float32), *counts)))
 
 
@@ -105,113 +111,115 @@ def _as_array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
     return (tensor if tensor.dtype is dtype else tensor.to(dtype)).contiguous().numpy()
 
 
-def _as_segments(ends: Tensor) -> np.ndarray:
-    """End points [S, 2, 2] as x and y of the start, then of the way to the end: [S, 4], float64."""
-    start, end = ends.double().numpy().transpose(1, 0, 2)
-    return np.ascontiguousarray(np.hstack([start, end - start]))
+def _fan(angles: Tensor) -> np.ndarray:
+    """Cosines and sines of the angles [R] in double precision, filled up to whole lanes: [2, R']."""
+    padded = np.zeros(-(-len(angles) // _LANES) * _LANES)
+    padded[: len(angles)] = angles.double().numpy()
+    return np.stack([np.cos(padded), np.sin(padded)])
 
 
-def _bounding_circles(segments: np.ndarray) -> np.ndarray:
-    """Circles about segments [S, 4]: [3, S]; wider than those by more than any rounding error."""
-    start, edge = segments[:, :2], segments[:, 2:]
-    radius = np.linalg.norm(edge, axis=1) / 2
-    return np.ascontiguousarray(np.vstack([(start + edge / 2).T, radius * (1 + 1e-6) + 1e-6]))
-
-
-# A division by zero gives inf or nan, as in torch.
-_inlined = numba.njit(nogil=True, error_model="numpy")
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+"""A division by zero gives inf or nan, as in torch."""
+_inlined = numba.njit(inline="always", **_OPTIONS)
+"""Without being told so Numba passes all of `World` at each call, which takes longer than most functions do."""
 
 
 def _called(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles a function for calls from Python, or takes it from the cache."""
     try:
-        return numba.njit(function, nogil=True, error_model="numpy", cache=True)
+        return numba.njit(function, cache=True, **_OPTIONS)
     except RuntimeError:  # There is no folder that the cache can be written to.
-        return _inlined(function)
+        return numba.njit(function, **_OPTIONS)
 
 
 @_called
-def _sense(world: World, pose: np.ndarray) -> np.ndarray:
+def _sense(world: World, pose: np.ndarray, next_gate: np.ndarray, track: np.ndarray) -> np.ndarray:
     """Ranges [B, R], float32, at poses [B, 3], float32."""
-    if pose.shape[1] != 3:
-        raise ValueError("a pose has three values")
-    cars, rays = len(pose), len(world.fan)
-    ranges = np.empty((cars, rays), np.float32)
-    found, work = np.empty(len(world.walls), np.int64), np.empty((rays, 3))
+    cars = len(pose)
+    if pose.shape[1] != 3 or len(next_gate) != cars or len(track) != cars:
+        raise ValueError("pose, next_gate and track must be of the same number of cars, a pose of three values")
+    ranges = np.empty((cars, world.rays), np.float32)
+    work = np.empty((3, world.fan.shape[1]))
     for car in range(cars):
         x, y, heading = np.float64(pose[car, 0]), np.float64(pose[car, 1]), np.float64(pose[car, 2])
-        near = _walls_near(world, x, y, world.max_range, found)
-        _cast(world, near, x, y, heading, work, ranges[car])
+        begin, _, end = _walls_near(world, x, y, _level(world, track[car], next_gate[car]))
+        _cast(world, begin, end, x, y, heading, work, ranges[car])
     return ranges
 
 
 @_called
 def _step(
-    world: World, pose: np.ndarray, next_gate: np.ndarray, gates_passed: np.ndarray, action: np.ndarray
+    world: World,
+    pose: np.ndarray,
+    next_gate: np.ndarray,
+    gates_passed: np.ndarray,
+    track: np.ndarray,
+    action: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """What `Kernels.step` returns, for a pose in float32 and all else in int64."""
-    cars, rays = len(pose), len(world.fan)
-    if pose.shape[1] != 3 or len(next_gate) != cars or len(gates_passed) != cars or len(action) != cars:
-        raise ValueError("pose, next_gate, gates_passed and action must be of the same number of cars")
-    next_pose, ranges = np.empty((cars, 3), np.float32), np.empty((cars, rays), np.float32)
+    cars = len(pose)
+    counts = len(next_gate), len(gates_passed), len(track), len(action)
+    if pose.shape[1] != 3 or counts != (cars, cars, cars, cars):
+        raise ValueError("pose, next_gate, gates_passed, track and action must be of the same number of cars")
+    next_pose, ranges = np.empty((cars, 3), np.float32), np.empty((cars, world.rays), np.float32)
     following, since_start, passed = np.empty(cars, np.int64), np.empty(cars, np.int64), np.empty(cars, np.int64)
     collided = np.empty(cars, np.bool_)
-    found, work = np.empty(len(world.walls), np.int64), np.empty((rays, 3))
+    work = np.empty((3, world.fan.shape[1]))
     for car in range(cars):
-        _move(world, pose[car], action[car], next_pose[car])
+        _move(world.manoeuvres[action[car]], pose[car], next_pose[car])
         begin_x, begin_y = np.float64(pose[car, 0]), np.float64(pose[car, 1])
         x, y, heading = np.float64(next_pose[car, 0]), np.float64(next_pose[car, 1]), np.float64(next_pose[car, 2])
         path_x, path_y = x - begin_x, y - begin_y
-        reach = max(world.max_range, math.hypot(path_x, path_y) + world.body_radius)
-        near = _walls_near(world, x, y, reach, found)
-        collided[car] = _touches(world, near, begin_x, begin_y, path_x, path_y)
-        passed[car] = 0 if collided[car] else _count_gates(world, next_gate[car], begin_x, begin_y, path_x, path_y)
-        following[car] = (next_gate[car] + passed[car]) % len(world.gates)
-        since_start[car] = gates_passed[car] + passed[car]
-        _cast(world, near, x, y, heading, work, ranges[car])
+        level = _level(world, track[car], next_gate[car])
+        begin, touching, end = _walls_near(world, x, y, level)
+        hit = _touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+        first = world.first_gate[track[car]]
+        gates = world.gates[first : world.first_gate[track[car] + 1]]
+        crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
+        collided[car], passed[car], following[car] = hit, crossed, (next_gate[car] + crossed) % len(gates)
+        since_start[car] = gates_passed[car] + crossed
+        if _level(world, track[car], following[car]) != level:
+            begin, _, end = _walls_near(world, x, y, _level(world, track[car], following[car]))
+        _cast(world, begin, end, x, y, heading, work, ranges[car])
     return next_pose, following, since_start, ranges, collided, passed
 
 
 @_inlined
-def _move(world: World, pose: np.ndarray, action: int, moved: np.ndarray) -> None:
+def _move(manoeuvre: np.ndarray, pose: np.ndarray, moved: np.ndarray) -> None:
     """Writes the pose [3] one step later, in float32 throughout."""
-    turn = np.float32(action == _LEFT) - np.float32(action == _RIGHT)
-    heading = pose[2] + np.float32(world.yaw_per_step) * turn
-    step_length = np.float32(world.step_length)
-    moved[0] = pose[0] + step_length * np.float32(math.cos(np.float64(heading)))
-    moved[1] = pose[1] + step_length * np.float32(math.sin(np.float64(heading)))
-    moved[2] = (heading + np.float32(math.pi)) % np.float32(2 * math.pi) - np.float32(math.pi)
+    distance, bearing, yaw = manoeuvre
+    direction = np.float64(pose[2] + bearing)
+    moved[0] = pose[0] + distance * np.float32(math.cos(direction))
+    moved[1] = pose[1] + distance * np.float32(math.sin(direction))
+    moved[2] = (pose[2] + yaw + np.float32(math.pi)) % np.float32(2 * math.pi) - np.float32(math.pi)
 
 
 @_inlined
-def _walls_near(world: World, x: float, y: float, reach: float, found: np.ndarray) -> np.ndarray:
-    """Indices of all the walls that come within `reach` of a point, and of few others, written to the front of `found`.
-
-    To search fewer walls on a long track, change this function only: the others ask for no more than what it promises.
-    """
-    count = 0
-    for wall in range(len(found)):
-        dx, dy = world.circles[0, wall] - x, world.circles[1, wall] - y
-        far = world.circles[2, wall] + reach
-        found[count] = wall
-        count += dx * dx + dy * dy <= far * far
-    return found[:count]
+def _level(world: World, track: int, next_gate: int) -> int:
+    """The level that a car is on."""
+    return world.level_of_gate[world.first_gate[track] + next_gate]
 
 
 @_inlined
-def _touches(world: World, near: np.ndarray, begin_x: float, begin_y: float, path_x: float, path_y: float) -> bool:
-    """Whether the body touches a wall on its straight way."""
+def _walls_near(world: World, x: float, y: float, level: int) -> tuple[int, int, int]:
+    """Where in `entries` the walls near a point begin, where those within touch end, and where all end."""
+    corners, shapes = world.corners, world.shapes
+    size = corners[level, 2]
+    column, row = math.floor((x - corners[level, 0]) / size), math.floor((y - corners[level, 1]) / size)
+    number = 0
+    if 0 <= column < shapes[level, 0] and 0 <= row < shapes[level, 1]:
+        number = world.list_of_cell[shapes[level, 2] + row * shapes[level, 0] + column]
+    return world.lists[number, 0], world.lists[number, 1], world.lists[number, 2]
+
+
+@_inlined
+def _touches(world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float) -> bool:
+    """Whether the body touches a wall of these entries on its straight way."""
     radius = world.body_radius
     end_x, end_y = begin_x + path_x, begin_y + path_y
-    middle_x, middle_y = begin_x + path_x / 2, begin_y + path_y / 2
-    reach = math.hypot(path_x, path_y) / 2 + radius
-    for wall in near:
-        dx, dy = world.circles[0, wall] - middle_x, world.circles[1, wall] - middle_y
-        far = world.circles[2, wall] + reach
-        if dx * dx + dy * dy > far * far:
-            continue
-        first_x, first_y, edge_x, edge_y = world.walls[wall]
-        last_x, last_y = first_x + edge_x, first_y + edge_y
+    for entry in range(begin, end):
+        first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
+        edge_x, edge_y = last_x - first_x, last_y - first_y
         nearest = min(
             _squared_distance(begin_x, begin_y, first_x, first_y, edge_x, edge_y),
             _squared_distance(end_x, end_y, first_x, first_y, edge_x, edge_y),
@@ -240,11 +248,14 @@ def _squared_distance(x: float, y: float, start_x: float, start_y: float, edge_x
 
 
 @_inlined
-def _count_gates(world: World, next_gate: int, begin_x: float, begin_y: float, path_x: float, path_y: float) -> int:
-    """How many gates the straight way crosses forward and in order."""
+def _count_gates(
+    gates: np.ndarray, most: int, next_gate: int, begin_x: float, begin_y: float, path_x: float, path_y: float
+) -> int:
+    """How many of a track's gates [G, 4] the straight way crosses forward and in order."""
     passed = 0
-    while passed < world.most_gates:
-        left_x, left_y, across_x, across_y = world.gates[(next_gate + passed) % len(world.gates)]
+    while passed < most:
+        left_x, left_y, right_x, right_y = gates[(next_gate + passed) % len(gates)]
+        across_x, across_y = right_x - left_x, right_y - left_y
         dx, dy = begin_x - left_x, begin_y - left_y
         side_before = across_x * dy - across_y * dx
         side_after = across_x * (dy + path_y) - across_y * (dx + path_x)
@@ -261,25 +272,48 @@ def _count_gates(world: World, next_gate: int, begin_x: float, begin_y: float, p
 
 @_inlined
 def _cast(
-    world: World, near: np.ndarray, x: float, y: float, heading: float, work: np.ndarray, ranges: np.ndarray
+    world: World, begin: int, end: int, x: float, y: float, heading: float, work: np.ndarray, ranges: np.ndarray
 ) -> None:
-    """Writes the distances along the rays, [R], by way of `work`, [R, 3]: the direction and the nearest wall so far."""
+    """Writes the distances along the rays to the walls of these entries, [R].
+
+    `work`, [3, R'], holds each ray's direction, and 1 / distance of the nearest wall so far: so one division for each
+    wall serves all rays. A ray meets a wall whose ends lie to either side of it. Walls that share an end compute the
+    same side for it, so nothing slips through a joint. Nan, where a wall points at the car, fails every comparison.
+    Two walls at a time, since the processor waits for what the last ones wrote.
+    """
     cos, sin = math.cos(heading), math.sin(heading)
-    for ray in range(len(work)):
-        ray_cos, ray_sin = world.fan[ray]
-        work[ray, 0] = cos * ray_cos - sin * ray_sin
-        work[ray, 1] = sin * ray_cos + cos * ray_sin
-        work[ray, 2] = world.max_range
-    for wall in near:
-        start_x, start_y, edge_x, edge_y = world.walls[wall]
-        dx, dy = start_x - x, start_y - y
-        across = dx * edge_y - dy * edge_x
-        for ray in range(len(work)):
-            ray_x, ray_y, nearest = work[ray]
-            scale = 1 / (ray_x * edge_y - ray_y * edge_x)
-            distance, position = across * scale, (dx * ray_y - dy * ray_x) * scale
-            # No branches, which the processor would guess wrong; inf and nan of a parallel ray fail every comparison.
-            meets = (distance >= 0) & (position >= -_JOINT_TOLERANCE) & (position <= 1 + _JOINT_TOLERANCE)
-            work[ray, 2] = distance if meets & (distance < nearest) else nearest
-    for ray in range(len(work)):
-        ranges[ray] = work[ray, 2]
+    walls, entries, fan_x, fan_y = world.walls, world.entries, world.fan[0], world.fan[1]
+    ray_x, ray_y, nearness = work[0], work[1], work[2]
+    for ray in range(len(nearness)):
+        ray_x[ray] = cos * fan_x[ray] - sin * fan_y[ray]
+        ray_y[ray] = sin * fan_x[ray] + cos * fan_y[ray]
+        nearness[ray] = 1 / world.max_range
+    for entry in range(begin, end, 2):
+        a, b = entries[entry], entries[entry + 1]
+        a_x, a_y, a_end_x, a_end_y = walls[a, 0] - x, walls[a, 1] - y, walls[a, 2] - x, walls[a, 3] - y
+        b_x, b_y, b_end_x, b_end_y = walls[b, 0] - x, walls[b, 1] - y, walls[b, 2] - x, walls[b, 3] - y
+        a_scale = 1 / (a_x * (a_end_y - a_y) - a_y * (a_end_x - a_x))
+        b_scale = 1 / (b_x * (b_end_y - b_y) - b_y * (b_end_x - b_x))
+        for ray in range(len(nearness)):
+            a_side, a_end_side = a_x * ray_y[ray] - a_y * ray_x[ray], a_end_x * ray_y[ray] - a_end_y * ray_x[ray]
+            b_side, b_end_side = b_x * ray_y[ray] - b_y * ray_x[ray], b_end_x * ray_y[ray] - b_end_y * ray_x[ray]
+            to_a = (a_side - a_end_side) * a_scale if a_side * a_end_side <= 0 else 0.0
+            to_b = (b_side - b_end_side) * b_scale if b_side * b_end_side <= 0 else 0.0
+            nearest = nearness[ray]
+            nearest = to_a if to_a > nearest else nearest
+            nearness[ray] = to_b if to_b > nearest else nearest
+        if not math.isfinite(a_scale + b_scale):
+            _cast_in_line(a_scale, a_x, a_y, a_end_x, a_end_y, work)
+            _cast_in_line(b_scale, b_x, b_y, b_end_x, b_end_y, work)
+    for ray in range(len(ranges)):
+        ranges[ray] = 1 / nearness[ray]
+
+
+@_inlined
+def _cast_in_line(scale: float, x: float, y: float, end_x: float, end_y: float, work: np.ndarray) -> None:
+    """Zero distance for rays that begin on this wall: `scale` is infinite where the car is in line with it."""
+    if not math.isfinite(scale):
+        for ray in range(work.shape[1]):
+            side, end_side = x * work[1, ray] - y * work[0, ray], end_x * work[1, ray] - end_y * work[0, ray]
+            if side * end_side <= 0 and side != end_side:
+                work[2, ray] = np.inf

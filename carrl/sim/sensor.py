@@ -1,4 +1,7 @@
-"""The distance sensors: rays that fan out from the middle of the car."""
+"""The distance sensors: rays that fan out from the middle of the car.
+
+Shapes: `B` cars, `R` rays.
+"""
 
 import math
 from dataclasses import dataclass
@@ -17,20 +20,28 @@ class Sensor:
         rays: how many.
         field_of_view: angle between the first and the last ray, degrees.
         max_range: distance at which a ray ends and reads 1, m.
+        noise: standard deviation of the normal error of a distance, m.
+        dropout: probability that a ray comes back from nothing and reads 1.
     """
 
     rays: int = 7
     field_of_view: float = 180.0
     max_range: float = 10.0
+    noise: float = 0.0
+    dropout: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a fan that cannot be built."""
         if not (isinstance(self.rays, int) and self.rays >= 1):
             raise ConfigError(f"sensor.rays is {self.rays}; it must be a whole number of at least 1")
-        if not (isinstance(self.field_of_view, int | float) and 0 < self.field_of_view < 360):
+        if not (_is_number(self.field_of_view) and 0 < self.field_of_view < 360):
             raise ConfigError(f"sensor.field_of_view is {self.field_of_view}; it must lie between 0 and 360 degrees")
-        if not (isinstance(self.max_range, int | float) and math.isfinite(self.max_range) and self.max_range > 0):
+        if not (_is_number(self.max_range) and self.max_range > 0):
             raise ConfigError(f"sensor.max_range is {self.max_range}; it must be a positive number of metres")
+        if not (_is_number(self.noise) and self.noise >= 0):
+            raise ConfigError(f"sensor.noise is {self.noise}; it must be a number of metres of at least 0")
+        if not (_is_number(self.dropout) and 0 <= self.dropout <= 1):
+            raise ConfigError(f"sensor.dropout is {self.dropout}; it must lie between 0 and 1")
 
     @property
     def angles(self) -> Tensor:
@@ -39,3 +50,26 @@ class Sensor:
             return torch.zeros(1)
         half = math.radians(self.field_of_view) / 2
         return torch.linspace(-half, half, self.rays)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it always finds the true distances."""
+        return self.noise == 0 and self.dropout == 0
+
+    def err(self, ranges: Tensor, errors: Tensor, chances: Tensor) -> Tensor:
+        """The distances that the sensor finds instead of the true ones.
+
+        Args:
+            ranges: true distances, [B, R], m.
+            errors: drawn from the standard normal distribution, [B, R].
+            chances: drawn evenly from 0..1, [B, R].
+
+        Returns:
+            [B, R], m, in [0, max_range].
+        """
+        found = (ranges + self.noise * errors).clamp(0, self.max_range)
+        return torch.where(chances < self.dropout, self.max_range, found)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)

@@ -1,9 +1,10 @@
-"""The simulator: cars on a track, moved, measured and checked, one step at a time.
+"""The simulator: cars on tracks, moved, measured and checked, one step at a time.
 
-Shapes: `B` cars, `R` rays, `S` walls, `G` gates. Lengths are in metres, angles in radians counter-clockwise from +x.
+Shapes: `B` cars, `R` rays, `T` tracks, `G` gates. Lengths are in metres, angles in radians counter-clockwise from +x.
 """
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,13 +12,19 @@ import shapely
 import torch
 from torch import Tensor
 
+from carrl.errors import ConfigError
 from carrl.sim.geometry import cross, path_clearance, ray_distances
+from carrl.sim.routes import Routes
 from carrl.sim.sensor import Sensor
+from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Vehicle
+from carrl.sim.vehicle import VehicleModel
 
 if TYPE_CHECKING:
     from carrl.sim.kernels import Kernels
+
+_START_CLEARANCE = 1.5
+"""How many body radii the middle of a car that starts beside the centreline keeps from the wall at least."""
 
 
 class State(NamedTuple):
@@ -25,13 +32,21 @@ class State(NamedTuple):
 
     Attributes:
         pose: x m, y m, heading rad, [B, 3], float32.
-        next_gate: index of the one gate that counts next, [B], int64.
+        next_gate: index of the one gate of the car's track that counts next, [B], int64.
         gates_passed: since the start, [B], int64.
+        track: index of the track that the car drives on, [B], int64.
     """
 
     pose: Tensor
     next_gate: Tensor
     gates_passed: Tensor
+    track: Tensor
+
+    @staticmethod
+    def at(pose: Tensor) -> "State":
+        """Cars in any pose [B, 3] on the first track, as if they headed for its first gate."""
+        zeros = torch.zeros(len(pose), dtype=torch.int64, device=pose.device)
+        return State(pose, zeros, zeros.clone(), zeros.clone())
 
 
 class Outcome(NamedTuple):
@@ -51,58 +66,93 @@ class Outcome(NamedTuple):
 
 
 class Simulator:
-    """Any number of cars side by side on one track; they do not see each other.
+    """Any number of cars side by side, each on one of the tracks; they do not see each other.
 
-    It holds no state of the cars: `start` and `step` return it.
+    It holds no state of the cars: `start` and `step` return it. The time of a step does not depend on how long the
+    tracks are or how many, but on how many walls a car has within reach.
 
     Args:
-        track: where the cars drive.
+        track: where the cars drive; several, if each car is to drive on one of its own.
         vehicle: how they move.
         sensor: what they see.
         device: where the tensors live.
         compiled: run the machine code of `carrl.sim.kernels` on the CPU, many times faster. Other devices, and False,
             run the torch code below; the two agree to float32's rounding.
+
+    Raises:
+        TrackError: the roads at a bridge cannot be told apart.
+        ConfigError: there is no track.
     """
 
     def __init__(
         self,
-        track: Track,
-        vehicle: Vehicle,
+        track: Track | Sequence[Track],
+        vehicle: VehicleModel,
         sensor: Sensor,
         device: torch.device | str = "cpu",
         compiled: bool = True,
     ) -> None:
         """Places walls, gates and rays on the device, and compiles where that was not done before."""
-        self.track, self.vehicle, self.sensor = track, vehicle, sensor
-        self.walls = track.walls.to(device)
-        self.gates = track.gates.to(device)
+        self.tracks = (track,) if isinstance(track, Track) else tuple(track)
+        if not self.tracks:
+            raise ConfigError("there is no track to drive on; name at least one")
+        self.vehicle, self.sensor = vehicle, sensor
+        touch = vehicle.step_length + vehicle.body_radius
+        reach = max(sensor.max_range, touch)
+        terrain = Terrain.join([Plot.of_track(each, reach) for each in self.tracks], reach, touch)
+        self.terrain = Terrain(*(tensor.to(device) for tensor in terrain))
+        self.routes = Routes(self.tracks)
+        self.gate_counts = self.terrain.first_gate.diff()
         self.sensor_angles = sensor.angles.to(device)
-        self._most_gates_per_step = _most_gates_per_step(track.gates, vehicle.step_length)
+        self._most_gates_per_step = max(_most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
+
+    @property
+    def track(self) -> Track:
+        """The first track: the only one, if there is one."""
+        return self.tracks[0]
 
     @property
     def device(self) -> torch.device:
         """Where the tensors live."""
-        return self.walls.device
+        return self.terrain.walls.device
 
     @property
     def lap_steps(self) -> int:
-        """Steps that the centreline's length takes."""
-        return math.ceil(self.track.length / self.vehicle.step_length)
+        """Steps that the longest track's centreline takes."""
+        return math.ceil(self.routes.lengths.max().item() / self.vehicle.step_length)
 
-    def start(self, stations: Tensor) -> State:
-        """Cars on the centreline, pointing in the driving direction: stations [B], m."""
+    def start(
+        self,
+        stations: Tensor,
+        track: Tensor | None = None,
+        offset: Tensor | None = None,
+        heading: Tensor | None = None,
+    ) -> State:
+        """Cars on the road, by default on the centreline of the first track and in the driving direction.
+
+        Args:
+            stations: [B], m.
+            track: index of each car's track, [B], int64.
+            offset: from the centreline to the left, as a share of the room that the body has there, [B], in -1..1.
+            heading: counter-clockwise from the driving direction, [B], rad.
+        """
         stations = stations.cpu()
-        pose = self.track.pose_at(stations).to(self.device)
-        next_gate = self.track.next_gate(stations).to(self.device)
-        return State(pose, next_gate, torch.zeros_like(next_gate))
+        track = torch.zeros(len(stations), dtype=torch.int64) if track is None else track.cpu()
+        pose = self.routes.poses(track, stations)
+        if offset is not None:
+            pose[:, :2] += self._sideways(track, stations, offset.cpu())
+        if heading is not None:
+            pose[:, 2] += heading.cpu()
+        next_gate = self.routes.next_gate(track, stations).to(self.device)
+        return State(pose.to(self.device), next_gate, torch.zeros_like(next_gate), track.to(self.device))
 
-    def sense(self, pose: Tensor) -> Tensor:
-        """Distances to the wall along each ray: poses [B, 3] to [B, R], float32, m, in [0, max_range]."""
+    def sense(self, state: State) -> Tensor:
+        """Distances to the wall along each ray, [B, R], float32, m, in [0, max_range]."""
         if self._kernels:
-            return self._kernels.sense(pose)
-        angles = pose[:, 2:].double() + self.sensor_angles.double()  # In float32 this sum alone can cost 0.1 mm.
-        return ray_distances(pose[:, :2], angles, self.walls, self.sensor.max_range)
+            return self._kernels.sense(state.pose, state.next_gate, state.track)
+        angles = state.pose[:, 2:].double() + self.sensor_angles.double()  # In float32 this alone can cost 0.1 mm.
+        return ray_distances(state.pose[:, :2], angles, self._walls_near(state), self.sensor.max_range)
 
     def step(self, state: State, action: Tensor) -> Outcome:
         """Moves every car by one time step.
@@ -116,44 +166,61 @@ class Simulator:
             action: values of `Action`, [B], int64.
         """
         if self._kernels:
-            *after_step, ranges, collided, passed = self._kernels.step(*state, action)
-            return Outcome(State(*after_step), ranges, collided, passed)
+            pose, next_gate, gates_passed, *of_step = self._kernels.step(*state, action)
+            return Outcome(State(pose, next_gate, gates_passed, state.track), *of_step)
         pose = self.vehicle.move(state.pose, action)
-        begin, end = state.pose[:, :2], pose[:, :2]
-        collided = path_clearance(begin, end, self.walls) < self.vehicle.body_radius
-        passed = torch.where(collided, 0, self._count_gates(begin, end, state.next_gate))
-        next_gate = (state.next_gate + passed) % len(self.gates)
-        after = State(pose, next_gate, state.gates_passed + passed)
-        return Outcome(after, self.sense(pose), collided, passed)
+        begin, end = state.pose[:, :2].double(), pose[:, :2].double()
+        walls = self._walls_near(state._replace(pose=pose))
+        collided = path_clearance(begin, end, walls) < self.vehicle.body_radius
+        passed = torch.where(collided, 0, self._count_gates(begin, end, state))
+        next_gate = (state.next_gate + passed) % self.gate_counts[state.track]
+        after = State(pose, next_gate, state.gates_passed + passed, state.track)
+        return Outcome(after, self.sense(after), collided, passed)
+
+    def has_lapped(self, state: State) -> Tensor:
+        """Whether each car has passed all gates since its start: [B], bool."""
+        return state.gates_passed >= self.gate_counts[state.track]
 
     def progress(self, state: State, start_stations: Tensor) -> Tensor:
         """Share of the lap driven since the start, [B], in [0, 1]; the start's stations are [B], m.
 
         Measured along the centreline, and only as far as the gates passed in order vouch for it.
         """
-        start = start_stations.cpu() % self.track.length
-        begin = self.track.next_gate(start)
-        passed = state.gates_passed.cpu()
-        gate_gap = self.track.length / self.track.gate_count
-        first_gate = self.track.gate_stations[begin]
-        first_gate = torch.where(first_gate <= start, first_gate + self.track.length, first_gate)
+        track, passed = state.track.cpu(), state.gates_passed.cpu()
+        length, gate_count = self.routes.lengths[track], self.gate_counts.cpu()[track]
+        start = start_stations.cpu() % length
+        gate_gap = length / gate_count
+        first_gate = (self.routes.next_gate(track, start) + 1) * gate_gap
+        first_gate = torch.where(first_gate <= start, first_gate + length, first_gate)
         low = torch.where(passed == 0, start, first_gate + (passed - 1) * gate_gap)
         high = first_gate + passed * gate_gap
-        station = self.track.station_near(state.pose[:, :2].cpu(), low, high)
-        share = (station - start) / self.track.length
-        return torch.where(passed >= self.track.gate_count, 1.0, share.clamp(0, 1))
+        station = self.routes.nearest_stations(track, state.pose[:, :2].cpu(), low, high)
+        return torch.where(passed >= gate_count, 1.0, ((station - start) / length).clamp(0, 1))
 
     def _load_kernels(self) -> "Kernels":
         from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.
 
         most_gates = self._most_gates_per_step
-        return Kernels(self.walls, self.gates, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
+        return Kernels(self.terrain, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
 
-    def _count_gates(self, begin: Tensor, end: Tensor, next_gate: Tensor) -> Tensor:
+    def _sideways(self, track: Tensor, stations: Tensor, offset: Tensor) -> Tensor:
+        """From the centreline as far towards a wall as the offset [B] says: [B, 2], m."""
+        centre = self.routes.poses(track, stations)[:, :2].double()
+        left, right = self.routes.walls(track, stations).unbind(1)
+        way = torch.where(offset[:, None] > 0, left, right) - centre
+        width = torch.linalg.vector_norm(way, dim=1)
+        free = (width - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0)
+        return way * (offset.abs() * free / width)[:, None]
+
+    def _walls_near(self, state: State) -> Tensor:
+        return self.terrain.walls_near(state.pose[:, :2], self.terrain.level(state.track, state.next_gate))
+
+    def _count_gates(self, begin: Tensor, end: Tensor, state: State) -> Tensor:
         """Gates crossed forward and in order on the straight ways begin-end, [B], int64."""
-        passed = torch.zeros_like(next_gate)
+        first, count = self.terrain.first_gate[state.track], self.gate_counts[state.track]
+        passed = torch.zeros_like(state.next_gate)
         for _ in range(self._most_gates_per_step):
-            gate = self.gates[(next_gate + passed) % len(self.gates)]
+            gate = self.terrain.gates[first + (state.next_gate + passed) % count].unflatten(-1, (2, 2))
             passed = passed + _crosses_forward(begin, end, gate)
         return passed
 

@@ -5,23 +5,28 @@ counter-clockwise from +x. A *station* is a distance along the centreline from t
 """
 
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from shapely import LinearRing
 from torch import Tensor
 
 from carrl.errors import TrackError
 from carrl.sim import builtin
-from carrl.sim.centreline import Centreline, read_csv
+from carrl.sim.bridges import Bridge, find_bridges
+from carrl.sim.centreline import Centreline
+from carrl.sim.csv_file import read_csv
+from carrl.sim.drawing_file import MIN_GATE_SPACING, read_drawing
+from carrl.sim.folds import cut_folds
+from carrl.sim.random_track import CORNER_RADIUS, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
+from carrl.sim.waypoint_file import read_waypoints
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
-MIN_GATE_SPACING = 1.0
 _AT_GATE = 0.1
 """A start this close before a gate, m, lies behind it: where the widths change, the gate's straight line between the
 walls meets the centreline some centimetres off its station (4 cm on the Moscow Raceway)."""
@@ -31,12 +36,16 @@ walls meets the centreline some centimetres off its station (4 cm on the Moscow 
 class Track:
     """A closed circuit.
 
+    Where a bend is tighter than the road is wide, points of the inner wall may coincide; such walls without length are
+    in `left_wall` and `right_wall` only, not in `walls`.
+
     Attributes:
         name: a built-in track's name, or the name of the file it came from.
         centreline: [P, 2], float32, m, in driving order; the last point joins the first. Point 0 is the start.
         left_wall: the left wall at each centreline point, [P, 2], float32, m.
         right_wall: the right wall at each centreline point, [P, 2], float32, m.
         gate_count: how many gates, evenly spaced; the last one is the start line, so passing it completes a lap.
+        bridges: where the road crosses itself.
     """
 
     name: str
@@ -44,38 +53,84 @@ class Track:
     left_wall: Tensor
     right_wall: Tensor
     gate_count: int
+    bridges: tuple[Bridge, ...] = ()
 
     @staticmethod
     def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
-        """Loads a built-in track by name, or a centreline file by path.
+        """Loads a built-in track by name, or a file by path.
 
         Args:
-            name_or_path: one of `builtin_names()`, or a CSV file with the columns `x_m, y_m, w_tr_right_m,
-                w_tr_left_m`, as in the TUM racetrack database.
-            gate_spacing: about how far the gates stand apart, m; by default the built-in track's own gates, and
-                `DEFAULT_GATE_SPACING` for a file.
+            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
+                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. Any other: CSV with the
+                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database.
+            gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
+                drawing has, and else `DEFAULT_GATE_SPACING`.
 
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
         name = str(name_or_path)
-        is_number = isinstance(gate_spacing, int | float)
-        if gate_spacing is not None and not (is_number and gate_spacing >= MIN_GATE_SPACING):
-            raise TrackError(
-                f"track '{name}': gate_spacing is {gate_spacing}; it must be a number of at least {MIN_GATE_SPACING} m"
-            )
+        _check_gate_spacing(name, gate_spacing)
         if name in builtin.DRAWINGS:
             drawing = builtin.DRAWINGS[name]
-            centreline = drawing.centreline()
-            gate_count = None if gate_spacing else drawing.gate_count
-        else:
-            path = Path(name_or_path)
-            if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
-                raise TrackError(
-                    f"track '{name}': no file of this path and no built-in track of this name; "
-                    f"the built-in ones are {', '.join(builtin_names())}"
-                )
-            name, centreline, gate_count = path.name, read_csv(path), None
+            return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)
+        path = Path(name_or_path)
+        if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
+            raise TrackError(
+                f"track '{name}': no file of this path and no built-in track of this name; "
+                f"the built-in ones are {', '.join(builtin_names())}"
+            )
+        ending = path.suffix.lower()
+        if ending == ".npy":
+            return Track.from_walls(path.name, *read_waypoints(path), gate_spacing or DEFAULT_GATE_SPACING)
+        if ending in (".yaml", ".yml"):
+            file = read_drawing(path)
+            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, file.gate_spacing)
+        return Track.from_centreline(path.name, read_csv(path), gate_spacing or DEFAULT_GATE_SPACING)
+
+    @staticmethod
+    def random(
+        seed: int,
+        corner_radius: float | Sequence[float] = CORNER_RADIUS,
+        width: float | Sequence[float] = WIDTH,
+        length: float | Sequence[float] = LENGTH,
+        gate_spacing: float | None = None,
+    ) -> "Track":
+        """A circuit with straights, hairpins and bends to both sides; the same seed and ranges draw the same one.
+
+        Args:
+            seed: any whole number from 0 on.
+            corner_radius: least radius of the centreline, m: a number, or a range (low, high) from which to draw.
+            width: from wall to wall, m: a number or a range.
+            length: of the centreline, m: a number or a range.
+            gate_spacing: about how far the gates stand apart, m; by default `DEFAULT_GATE_SPACING`.
+
+        Raises:
+            TrackError: a value is no such number or range, or no circuit has these measures.
+        """
+        from carrl.sim.inspection import inspect_track  # Here, since it inspects what is defined here.
+
+        name = f"random-{seed}"
+        _check_gate_spacing(name, gate_spacing)
+        for centreline in random_centrelines(seed, corner_radius, width, length):
+            track = Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING)
+            if not inspect_track(track, body_radius=0.0).faults:
+                return track
+        raise TrackError(
+            f"track '{name}': no circuit of these measures was found in {MOST_DRAWS} draws; make it longer"
+        )
+
+    @staticmethod
+    def _from_drawing(
+        name: str,
+        centreline: Centreline,
+        wished_spacing: float | None,
+        gate_count: int | None,
+        gate_spacing: float | None = None,
+    ) -> "Track":
+        """A track with the gates as wished, or else as drawn."""
+        if wished_spacing is not None:
+            return Track.from_centreline(name, centreline, wished_spacing)
         return Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING, gate_count)
 
     @staticmethod
@@ -85,28 +140,70 @@ class Track:
         """Builds the walls by offsetting the centreline, and the gates by `gate_count` or else by `gate_spacing` m.
 
         Raises:
-            TrackError: the centreline crosses itself.
+            TrackError: the centreline crosses itself where no bridge can be made of it.
         """
-        ring = LinearRing(centreline.points)
-        if not ring.is_simple:
-            raise TrackError(
-                f"track '{name}': the centreline crosses itself; bridges and crossings are not supported, "
-                "so use a circuit whose road never meets itself"
-            )
-        left, right = centreline.walls()
+        return Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
+
+    @staticmethod
+    def from_walls(
+        name: str,
+        centreline: np.ndarray,
+        left_wall: np.ndarray,
+        right_wall: np.ndarray,
+        gate_spacing: float = DEFAULT_GATE_SPACING,
+        gate_count: int | None = None,
+    ) -> "Track":
+        """Builds a track from a centreline and the walls beside its points, [P, 2] each, m; cuts folds of the walls.
+
+        Raises:
+            TrackError: the centreline crosses itself where no bridge can be made of it.
+        """
+        left, right = cut_folds(left_wall, centreline), cut_folds(right_wall, centreline)
         return Track(
             name=name,
-            centreline=torch.from_numpy(centreline.points.astype(np.float32)),
-            left_wall=torch.from_numpy(left.astype(np.float32)),
-            right_wall=torch.from_numpy(right.astype(np.float32)),
-            gate_count=gate_count or max(3, round(ring.length / gate_spacing)),
+            centreline=_as_tensor(centreline),
+            left_wall=_as_tensor(left),
+            right_wall=_as_tensor(right),
+            gate_count=gate_count or max(3, round(_ring_length(centreline) / gate_spacing)),
+            bridges=find_bridges(name, centreline, left, right),
+        )
+
+    def mirrored(self) -> "Track":
+        """Its mirror image, y to -y: what was a turn to the left is one to the right, in the same order."""
+        flip = torch.tensor([1.0, -1.0])
+        return replace(
+            self,
+            name=f"{self.name}-mirrored",
+            centreline=self.centreline * flip,
+            left_wall=self.right_wall * flip,
+            right_wall=self.left_wall * flip,
+        )
+
+    def reversed(self) -> "Track":
+        """The same road driven the other way, from the same start line through the same gates."""
+
+        def turn_back(points: Tensor) -> Tensor:
+            return points.flip(0).roll(1, 0)  # point 0 stays the first
+
+        return replace(
+            self,
+            name=f"{self.name}-reversed",
+            centreline=turn_back(self.centreline),
+            left_wall=turn_back(self.right_wall),
+            right_wall=turn_back(self.left_wall),
+            bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
         )
 
     @cached_property
     def walls(self) -> Tensor:
-        """Every wall as a pair of end points, left walls first, [S, 2, 2], float32, m."""
-        sides = (self.left_wall, self.right_wall)
-        return torch.cat([torch.stack([side, side.roll(-1, 0)], dim=1) for side in sides])
+        """Every wall as a pair of end points, left walls first, [S, 2, 2], float32, m; none without length."""
+        return self._wall_segments[self._has_length]
+
+    @cached_property
+    def wall_stations(self) -> Tensor:
+        """Station of the middle of the centreline's segment that each of `walls` stands beside, [S], float64, m."""
+        middles = (self._stations[:-1] + self._stations[1:]) / 2
+        return middles.repeat(2)[self._has_length]
 
     @cached_property
     def gates(self) -> Tensor:
@@ -131,6 +228,18 @@ class Track:
         heading = torch.atan2(direction[:, 1], direction[:, 0])
         position = self._interpolate(self.centreline, stations)
         return torch.cat([position.float(), heading[:, None]], dim=-1)
+
+    def room_at(self, stations: Tensor) -> Tensor:
+        """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m.
+
+        Measured square to `pose_at`'s heading, so that a car can be moved sideways by that much.
+        """
+        heading = self.pose_at(stations)[:, 2].double()
+        to_left = torch.stack([-heading.sin(), heading.cos()], dim=-1)
+        middle = self._interpolate(self.centreline, stations)
+        left = ((self._interpolate(self.left_wall, stations) - middle) * to_left).sum(-1)
+        right = ((middle - self._interpolate(self.right_wall, stations)) * to_left).sum(-1)
+        return torch.stack([left, right], dim=-1).clamp(min=0)
 
     def next_gate(self, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
@@ -167,6 +276,17 @@ class Track:
         }
 
     @cached_property
+    def _wall_segments(self) -> Tensor:
+        """The walls of every segment of the centreline, [2P, 2, 2], float32, m."""
+        sides = (self.left_wall, self.right_wall)
+        return torch.cat([torch.stack([side, side.roll(-1, 0)], dim=1) for side in sides])
+
+    @cached_property
+    def _has_length(self) -> Tensor:
+        """Which of `_wall_segments` do not end where they begin, [2P], bool."""
+        return (self._wall_segments[:, 0] != self._wall_segments[:, 1]).any(dim=1)
+
+    @cached_property
     def _stations(self) -> Tensor:
         """Stations of the centreline's points and, at the end, the length: [P + 1], float64."""
         steps = torch.linalg.vector_norm((self.centreline.roll(-1, 0) - self.centreline).double(), dim=1)
@@ -188,3 +308,20 @@ class Track:
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
     return list(builtin.DRAWINGS)
+
+
+def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:
+    is_number = isinstance(gate_spacing, int | float)
+    if gate_spacing is not None and not (is_number and gate_spacing >= MIN_GATE_SPACING):
+        raise TrackError(
+            f"track '{name}': gate_spacing is {gate_spacing}; it must be a number of at least {MIN_GATE_SPACING} m"
+        )
+
+
+def _ring_length(points: np.ndarray) -> float:
+    """Length of the closed line through the points [P, 2], m."""
+    return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
+
+
+def _as_tensor(points: np.ndarray) -> Tensor:
+    return torch.from_numpy(points.astype(np.float32))

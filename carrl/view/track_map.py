@@ -17,6 +17,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
+from carrl.sim.bridges import Bridge, on_stretch
 from carrl.sim.track import Track
 from carrl.view.figure import INK, WIDTH, new_figure
 
@@ -94,13 +95,32 @@ def draw_road(track_map: TrackMap, track: Track) -> None:
     width = track_map.width(0.25, least=0.4, most=1.2)
     track_map.axes.add_patch(PathPatch(road, facecolor=ROAD, edgecolor="none", zorder=1))
     track_map.axes.add_patch(PathPatch(road, facecolor="none", edgecolor=WALL, linewidth=width, zorder=3))
+    for bridge in track.bridges:
+        _draw_bridge(track_map.axes, track, bridge, width)
+
+
+def _draw_bridge(axes: Axes, track: Track, bridge: Bridge, width: float) -> None:
+    """The stretch of road that is over, drawn once more on top of the walls of the one that is under."""
+    points = track.centreline.numpy().astype(np.float64)
+    steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    middles = steps.cumsum() - steps / 2
+    segments = np.flatnonzero(on_stretch(middles, bridge.over, track.length))
+    segments = segments[np.argsort((middles[segments] - bridge.over[0]) % track.length)]
+    ends = np.append(segments, (segments[-1] + 1) % len(points))
+    left, right = track.left_wall.numpy()[ends], track.right_wall.numpy()[ends]
+    axes.add_patch(PathPatch(Outline(np.vstack([left, right[::-1]])), facecolor=ROAD, edgecolor="none", zorder=3.1))
+    for side in (left, right):
+        axes.plot(*side.T, color=WALL, linewidth=width, solid_capstyle="butt", zorder=3.2)
 
 
 def draw_gates(track_map: TrackMap, track: Track) -> None:
     """White lines across the road."""
     width = track_map.width(0.4, least=0.5, most=2.0)
-    gates = LineCollection(list(track.gates.numpy()), colors=GATE, linewidths=width, zorder=2)
-    track_map.axes.add_collection(gates)
+    stations = track.gate_stations.numpy()
+    on_bridge = np.any([on_stretch(stations, bridge.over, track.length) for bridge in track.bridges], axis=0)
+    for level, shown in ((2, ~on_bridge), (3.3, on_bridge)):
+        gates = track.gates.numpy()[np.broadcast_to(shown, len(stations))]
+        track_map.axes.add_collection(LineCollection(list(gates), colors=GATE, linewidths=width, zorder=level))
 
 
 def _draw_start(track_map: TrackMap, track: Track) -> Floats:

@@ -65,20 +65,6 @@ def test_no_clean_lap_of_a_tiny_track_is_better(clean_laps):
     assert goes_directly_from_side_to_side(best.actions)
 
 
-def test_without_direct_switches_none_that_has_none_is_better(clean_laps):
-    best = find_best_lap(clover(), Reward(), bin_size=0.01, direct_switches=False)
-    allowed = [actions for actions in clean_laps if not goes_directly_from_side_to_side(actions)]
-    assert counts(best.actions) == min(map(counts, allowed)) == (11, 10, 20)
-    assert tuple(best.actions) in allowed
-
-
-def test_a_switch_can_be_worth_more_than_a_turn(clean_laps):
-    best = find_best_lap(clover(), Reward(), bin_size=0.01, turns_per_switch=1.5)
-    turns, switches, _ = counts(best.actions)
-    assert turns + 1.5 * switches == min(turns + 1.5 * switches for turns, switches, _ in map(counts, clean_laps))
-    assert (turns, switches) == (12, 7)
-
-
 def test_forgetting_places_costs_nothing_but_time(monkeypatch):
     monkeypatch.setattr(best_lap, "_MEMORY_SLOTS", 5)
     assert counts(find_best_lap(clover(), Reward(), bin_size=0.01).actions) == (11, 8, 20)
@@ -107,9 +93,3 @@ def test_a_track_too_narrow_for_a_clean_lap_is_named():
 def test_a_square_that_a_step_may_not_leave_is_refused(bin_size):
     with pytest.raises(ConfigError, match=r"bin_size is .*; it must be positive and at most 0\.707 m"):
         find_best_lap(Simulator(Track.load("oval"), Vehicle(), Sensor()), Reward(), bin_size=bin_size)
-
-
-@pytest.mark.parametrize("turns_per_switch", [-0.1, math.inf, math.nan])
-def test_a_switch_worth_less_than_nothing_is_refused(turns_per_switch):
-    with pytest.raises(ConfigError, match=r"turns_per_switch is .* between 0 and 100"):
-        find_best_lap(clover(), Reward(), turns_per_switch=turns_per_switch)

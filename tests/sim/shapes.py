@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from carrl.sim.centreline import Centreline
+from carrl.sim.drawing import rounded_polygon
 from carrl.sim.track import Track
 
 Walls = list[tuple[tuple[float, float], tuple[float, float]]]
@@ -57,3 +58,18 @@ def random_poses(track: Track, count: int, seed: int) -> Tensor:
 def as_floats(segments: Tensor) -> Walls:
     """Segments [S, 2, 2] as the plain floats that the scalar oracles take."""
     return [tuple(map(tuple, segment)) for segment in segments.double().tolist()]
+
+
+def rounded_road(corners: list[tuple[float, float]], radius: float, width: float, point_spacing: float = 2.0) -> Track:
+    """A road along a polygon with rounded corners."""
+    points = rounded_polygon(np.array(corners, dtype=float), radius, point_spacing)
+    half = np.full(len(points), width / 2)
+    return Track.from_centreline("rounded", Centreline(points, half, half))
+
+
+def figure_eight(width: float = 8.0, spacing: float = 2.0, turn: float = 0.0) -> Track:
+    """Gerono's curve, 160 m by 80 m, which crosses itself in the origin; from the right end on, or `turn` later."""
+    angle = turn + np.linspace(0, 2 * math.pi, round(420 / spacing), endpoint=False)
+    points = np.stack([80 * np.cos(angle), 40 * np.sin(2 * angle)], axis=1)
+    half = np.full(len(points), width / 2)
+    return Track.from_centreline("eight", Centreline(points, half, half))

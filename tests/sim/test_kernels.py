@@ -20,6 +20,7 @@ from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.kernels import Kernels
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Outcome, Simulator, State
+from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Action, Vehicle
 from tests.sim.shapes import random_poses, random_track
@@ -49,7 +50,9 @@ def random_cars(simulator: Simulator, count: int, seed: int) -> tuple[State, Ten
     pose = random_poses(simulator.track, count, seed)
     pose[: count // 2] = state.pose[: count // 2] + 0.5 * torch.randn(count // 2, 3, generator=generator)
     gates_passed = torch.randint(100, (count,), generator=generator)
-    return State(pose, state.next_gate, gates_passed), torch.randint(len(Action), (count,), generator=generator)
+    return state._replace(pose=pose, gates_passed=gates_passed), torch.randint(
+        len(Action), (count,), generator=generator
+    )
 
 
 def tensors(outcome: Outcome) -> list[Tensor]:
@@ -62,9 +65,17 @@ def ring_of_walls(corners: int, radius: float) -> Tensor:
     return torch.stack([points, points.roll(-1, 0)], dim=1)
 
 
+def terrain_of(walls: Tensor, reach: float) -> Terrain:
+    gates, level_of_gate = torch.tensor([[[0.0, 1.0], [0.0, -1.0]]]), torch.zeros(1, dtype=torch.int64)
+    return Terrain.join([Plot(walls, gates, torch.ones(1, len(walls)).bool(), level_of_gate)], reach, touch=1.5)
+
+
 def kernels_among(walls: Tensor, angles: Tensor, max_range: float = 20.0) -> Kernels:
-    gates = torch.tensor([[[0.0, 1.0], [0.0, -1.0]]])
-    return Kernels(walls, gates, angles, max_range, Vehicle(), most_gates=1)
+    return Kernels(terrain_of(walls, max(max_range, 1.5)), angles, max_range, Vehicle(), most_gates=1)
+
+
+def sense_among(walls: Tensor, angles: Tensor, pose: Tensor, max_range: float = 20.0) -> Tensor:
+    return kernels_among(walls, angles, max_range).sense(pose, *torch.zeros(2, len(pose), dtype=torch.int64))
 
 
 # Against torch
@@ -80,7 +91,7 @@ def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     torch.testing.assert_close(ours.state.pose[:, :2], theirs.state.pose[:, :2], atol=1e-6, rtol=2**-23)
     assert torch.equal(ours.state.pose[:, 2], theirs.state.pose[:, 2])
     ends = (pose[:, :2].double() for pose in (state.pose, ours.state.pose))
-    clearance = path_clearance(*ends, plain.walls.double())
+    clearance = path_clearance(*ends, plain.track.walls.double())
     assert torch.equal(ours.collided, clearance < plain.vehicle.body_radius)
     decided = (clearance - plain.vehicle.body_radius).abs() > UNDECIDED
     assert decided.float().mean() > 0.99
@@ -89,7 +100,7 @@ def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     assert all(torch.equal(getattr(ours, name)[decided], getattr(theirs, name)[decided]) for name in counts)
     assert torch.equal(ours.state.next_gate[decided], theirs.state.next_gate[decided])
     assert torch.equal(ours.state.gates_passed[decided], theirs.state.gates_passed[decided])
-    torch.testing.assert_close(ours.ranges, plain.sense(ours.state.pose), atol=1e-5, rtol=0)
+    torch.testing.assert_close(ours.ranges, plain.sense(ours.state), atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("sensor", [Sensor(), Sensor(rays=1, max_range=300.0), Sensor(rays=40, field_of_view=359.0)])
@@ -97,7 +108,8 @@ def test_a_step_equals_that_of_torch(name: str | int, speed: float):
 def test_ranges_equal_those_of_torch(name: str | int, sensor: Sensor):
     compiled, plain = both(track_of(name), sensor=sensor)
     pose = random_poses(plain.track, 1000, seed=2)
-    torch.testing.assert_close(compiled.sense(pose), plain.sense(pose), atol=1e-5, rtol=0)
+    cars = State.at(pose)
+    torch.testing.assert_close(compiled.sense(cars), plain.sense(cars), atol=1e-5, rtol=0)
 
 
 @exactly
@@ -110,7 +122,7 @@ def test_ranges_equal_those_of_torch_among_parallel_touching_and_empty_walls(end
     walls, angles = torch.tensor(ends).float().view(-1, 2, 2), Sensor().angles
     pose = torch.tensor([[*origin, heading]])
     expected = ray_distances(pose[:, :2], pose[:, 2:].double() + angles.double(), walls, 20.0)
-    torch.testing.assert_close(kernels_among(walls, angles).sense(pose), expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(sense_among(walls, angles, pose), expected, atol=1e-5, rtol=0)
 
 
 def test_no_ray_slips_through_the_joint_of_two_walls():
@@ -120,7 +132,7 @@ def test_no_ray_slips_through_the_joint_of_two_walls():
     for corner in walls[:, 0]:
         to_corner = corner - origins.double()
         heading = torch.atan2(to_corner[:, 1], to_corner[:, 0]).float()
-        ranges = kernels_among(walls, torch.zeros(1), 100.0).sense(torch.cat([origins, heading[:, None]], dim=1))
+        ranges = sense_among(walls, torch.zeros(1), torch.cat([origins, heading[:, None]], dim=1), 100.0)
         torch.testing.assert_close(ranges[:, 0].double(), to_corner.norm(dim=1), atol=1e-4, rtol=0)
 
 
@@ -128,7 +140,7 @@ def test_no_ray_slips_through_the_joint_of_two_walls():
 def test_a_wall_counts_up_to_the_very_range(max_range: float):
     """Walls beyond the range are left out unseen, so the last that are not are the ones to look at."""
     walls, angles = ring_of_walls(corners=4, radius=12 * math.sqrt(2)), torch.tensor([math.pi / 4])
-    range_ = kernels_among(walls, angles, max_range).sense(torch.zeros(1, 3))
+    range_ = sense_among(walls, angles, torch.zeros(1, 3), max_range)
     assert range_.item() == pytest.approx(min(12.0, max_range))
 
 
@@ -139,7 +151,7 @@ def test_collisions_depend_on_neither_speed_nor_range_of_the_rays(max_range: flo
     state, action = random_cars(plain, 1000, seed=3)
     outcome = compiled.step(state, action)
     ends = (pose[:, :2].double() for pose in (state.pose, outcome.state.pose))
-    assert torch.equal(outcome.collided, path_clearance(*ends, plain.walls.double()) < plain.vehicle.body_radius)
+    assert torch.equal(outcome.collided, path_clearance(*ends, plain.track.walls.double()) < plain.vehicle.body_radius)
 
 
 @pytest.mark.parametrize(("y", "collided"), [(0.49, True), (0.51, False)])
@@ -147,8 +159,8 @@ def test_collisions_depend_on_neither_speed_nor_range_of_the_rays(max_range: flo
 def test_passing_either_end_of_a_free_standing_wall_closely_collides(end: int, y: float, collided: bool):
     wall = torch.tensor([[2.0, y], [2.0, 5.0]])
     walls = (wall if end == 0 else wall.flip(0))[None]
-    count = torch.zeros(1, dtype=torch.int64)
-    *_, hit, _ = kernels_among(walls, torch.zeros(1)).step(torch.tensor([[1.5, 0.0, 0.0]]), count, count, count)
+    counts = torch.zeros(4, 1, dtype=torch.int64)
+    *_, hit, _ = kernels_among(walls, torch.zeros(1)).step(torch.tensor([[1.5, 0.0, 0.0]]), *counts)
     assert hit.item() is collided
 
 
@@ -160,7 +172,7 @@ def test_the_heading_wraps_as_in_torch(half_turns: int, turn_radius: float):
     heading = torch.cat([heading, torch.tensor(half_turns * math.pi).nextafter(torch.tensor([-9.0, 9.0]))])
     pose = torch.cat([torch.zeros(len(heading), 2), heading[:, None]], dim=1)
     for action in Action:
-        state = State(pose, *torch.zeros(2, len(pose), dtype=torch.int64))
+        state = State.at(pose)
         actions = torch.full((len(pose),), action)
         after = compiled.step(state, actions).state.pose[:, 2]
         assert torch.equal(after, plain.step(state, actions).state.pose[:, 2])
@@ -173,7 +185,7 @@ def test_episodes_end_as_in_torch_after_hundreds_of_steps(name: str):
     compiled, plain = both(Track.load(name))
     generator = torch.Generator().manual_seed(4)
     ours = theirs = plain.start(torch.linspace(0, plain.track.length, 12, dtype=torch.float64))
-    ranges, driving = plain.sense(theirs.pose), torch.ones(12, dtype=torch.bool)
+    ranges, driving = plain.sense(theirs), torch.ones(12, dtype=torch.bool)
     for _ in range(300):
         to_left = ranges[:, 4:].sum(-1) - ranges[:, :3].sum(-1)
         action = torch.where(to_left > 0.5, Action.LEFT, torch.where(to_left < -0.5, Action.RIGHT, Action.FORWARD))
@@ -198,9 +210,10 @@ def test_a_car_fares_alone_as_among_a_thousand_bit_for_bit():
     together = simulator.step(state, action)
     for index in range(0, 1000, 7):
         car = slice(index, index + 1)
-        alone = simulator.step(State(*(tensor[car] for tensor in state)), action[car])
-        assert all(torch.equal(one, all_[car]) for one, all_ in zip(tensors(alone), tensors(together), strict=True))
-        assert torch.equal(simulator.sense(state.pose[car]), simulator.sense(state.pose)[car])
+        one = State(*(tensor[car] for tensor in state))
+        alone = simulator.step(one, action[car])
+        assert all(torch.equal(own, all_[car]) for own, all_ in zip(tensors(alone), tensors(together), strict=True))
+        assert torch.equal(simulator.sense(one), simulator.sense(state)[car])
 
 
 def test_outputs_are_new_tensors_of_the_stated_types():
@@ -210,9 +223,9 @@ def test_outputs_are_new_tensors_of_the_stated_types():
     kept = [tensor.clone() for tensor in tensors(first)]
     simulator.step(first.state, action)
     assert all(map(torch.equal, tensors(first), kept))
-    types = [torch.float32, torch.int64, torch.int64, torch.float32, torch.bool, torch.int64]
+    types = [torch.float32, torch.int64, torch.int64, torch.int64, torch.float32, torch.bool, torch.int64]
     assert [tensor.dtype for tensor in tensors(first)] == types
-    assert len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *state, action]}) == 10
+    assert len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *state, action]}) == 11
 
 
 def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
@@ -221,11 +234,11 @@ def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
     expected = simulator.step(state, action)
     strided = State(state.pose.T.contiguous().T, *(torch.stack([count, count], 1)[:, 0] for count in state[1:]))
     assert not any(tensor.is_contiguous() for tensor in strided)
-    wide = State(state.pose.double(), state.next_gate.int(), state.gates_passed.int())
+    wide = State(state.pose.double(), *(count.int() for count in state[1:]))
     for other in (strided, wide):
         outcome = simulator.step(other, action.int())
         assert all(map(torch.equal, tensors(outcome), tensors(expected)))
-        assert torch.equal(simulator.sense(other.pose), simulator.sense(state.pose))
+        assert torch.equal(simulator.sense(other), simulator.sense(state))
     assert (len(kernels._step.signatures), len(kernels._sense.signatures)) == (1, 1)
 
 
@@ -238,15 +251,15 @@ def test_a_pose_that_is_no_number_spoils_nothing_else():
         torch.testing.assert_close(one, other, equal_nan=True, atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("short", range(4))
+@pytest.mark.parametrize("short", range(5))
 def test_inputs_of_unequal_numbers_of_cars_are_refused(short: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
     state, action = random_cars(simulator, 3, seed=9)
     inputs = [tensor[:2] if index == short else tensor for index, tensor in enumerate([*state, action])]
     with pytest.raises(ValueError, match="the same number of cars"):
-        simulator.step(State(*inputs[:3]), inputs[3])
+        simulator.step(State(*inputs[:4]), inputs[4])
     with pytest.raises(ValueError, match="three values"):
-        simulator.sense(state.pose[:, :2])
+        simulator.sense(state._replace(pose=state.pose[:, :2]))
 
 
 def test_threads_may_step_at_the_same_time():
@@ -270,7 +283,7 @@ SENSE_ONCE = """
 import torch
 from carrl.sim import kernels, sensor, simulator, track, vehicle
 car = simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor())
-print(car.sense(torch.tensor([[0.0, 0.0, 0.0]])).tolist(), sum(kernels._sense.stats.cache_hits.values()))
+print(car.sense(simulator.State.at(torch.zeros(1, 3))).tolist(), sum(kernels._sense.stats.cache_hits.values()))
 """
 
 
@@ -281,7 +294,7 @@ def test_several_processes_may_compile_at_once_and_later_ones_do_not(tmp_path: P
     processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     outputs = [process.communicate()[0] for process in processes]
     later = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    ranges = Simulator(Track.load("oval"), Vehicle(), Sensor()).sense(torch.zeros(1, 3)).tolist()
+    ranges = Simulator(Track.load("oval"), Vehicle(), Sensor()).sense(State.at(torch.zeros(1, 3))).tolist()
     assert all(output.startswith(str(ranges)) for output in [*outputs, later])
     assert later.endswith(" 1\n")
 

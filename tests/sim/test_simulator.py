@@ -35,7 +35,7 @@ def simulator_of(track: Track, vehicle: Vehicle = SLOW_AND_AGILE, compiled: bool
 
 
 def car(x: float, y: float, heading: float, next_gate: int = 0) -> State:
-    return State(torch.tensor([[x, y, heading]]), torch.tensor([next_gate]), torch.tensor([0]))
+    return State.at(torch.tensor([[x, y, heading]]))._replace(next_gate=torch.tensor([next_gate]))
 
 
 def drive(simulator: Simulator, stations: Tensor, metres: float, way: int = 1) -> list[Outcome]:
@@ -91,8 +91,8 @@ def test_nothing_tunnels_at_any_speed(compiled: bool, seed, magnitude, body_radi
     vehicle = Vehicle(speed=min(10**magnitude, 1e4), body_radius=body_radius)
     simulator = simulator_of(random_track(seed), vehicle, compiled=compiled)
     poses = random_poses(simulator.track, 60, seed)
-    outcome = simulator.step(State(poses, *torch.zeros(2, 60, dtype=torch.int64)), torch.zeros(60, dtype=torch.int64))
-    walls = as_floats(simulator.walls)
+    outcome = simulator.step(State.at(poses), torch.zeros(60, dtype=torch.int64))
+    walls = as_floats(simulator.track.walls)
     ways = zip(poses[:, :2].tolist(), outcome.state.pose[:, :2].tolist(), strict=True)
     distance = torch.tensor([path_distance(begin, end, walls) for begin, end in ways])
     decided = (distance - body_radius).abs() > UNDECIDED
@@ -104,8 +104,8 @@ def test_nothing_tunnels_at_any_speed(compiled: bool, seed, magnitude, body_radi
 def test_nothing_tunnels_on_a_real_circuit(compiled: bool, real_circuits: Path, speed: float):
     simulator = simulator_of(Track.load(real_circuits / "Norisring.csv"), Vehicle(speed=speed), compiled=compiled)
     poses = random_poses(simulator.track, 200, seed=0)
-    outcome = simulator.step(State(poses, *torch.zeros(2, 200, dtype=torch.int64)), torch.zeros(200, dtype=torch.int64))
-    walls = as_floats(simulator.walls)
+    outcome = simulator.step(State.at(poses), torch.zeros(200, dtype=torch.int64))
+    walls = as_floats(simulator.track.walls)
     ways = zip(poses[:, :2].tolist(), outcome.state.pose[:, :2].tolist(), strict=True)
     distance = torch.tensor([path_distance(begin, end, walls) for begin, end in ways])
     decided = (distance - 0.5).abs() > UNDECIDED
@@ -304,7 +304,7 @@ def test_progress_starts_at_zero_grows_with_the_way_and_is_one_after_a_lap(name:
 def test_progress_half_way_round_is_a_half():
     track = Track.load("oval")
     state = simulator_of(track).start(torch.tensor([0.0]))
-    half_way = State(track.pose_at(torch.tensor([track.length / 2])), state.next_gate, torch.tensor([4]))
+    half_way = state._replace(pose=track.pose_at(torch.tensor([track.length / 2])), gates_passed=torch.tensor([4]))
     assert simulator_of(track).progress(half_way, torch.tensor([0.0])).item() == pytest.approx(0.5, abs=1e-3)
 
 
@@ -322,7 +322,7 @@ def test_progress_is_measured_on_its_own_stretch_where_the_road_comes_close_to_i
     stations = torch.arange(0.0, track.length, 2.0)
     gate_gap = track.length / track.gate_count
     passed = (stations.double() / gate_gap).floor().long()
-    state = State(points, passed % track.gate_count, passed)
+    state = State.at(points)._replace(next_gate=passed % track.gate_count, gates_passed=passed)
     share = simulator.progress(state, torch.zeros(len(stations)))
     torch.testing.assert_close(share * track.length, stations.double(), atol=0.1, rtol=0)
 
@@ -378,9 +378,9 @@ def test_cars_side_by_side_fare_as_each_does_alone(compiled: bool, seed, count, 
 def test_a_step_reports_the_ranges_of_the_pose_it_ends_in_and_the_stated_types(compiled: bool):
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
     outcome = simulator.step(simulator.start(torch.zeros(2)), torch.tensor([0, 1]))
-    assert torch.equal(outcome.ranges, simulator.sense(outcome.state.pose))
+    assert torch.equal(outcome.ranges, simulator.sense(outcome.state))
     assert outcome.ranges.shape == (2, 7)
-    assert [tensor.dtype for tensor in outcome.state] == [torch.float32, torch.int64, torch.int64]
+    assert [tensor.dtype for tensor in outcome.state] == [torch.float32, *[torch.int64] * 3]
     assert [tensor.dtype for tensor in outcome[1:]] == [torch.float32, torch.bool, torch.int64]
 
 

@@ -12,6 +12,7 @@ from carrl.errors import TrackError
 from carrl.sim import centreline
 from carrl.sim.builtin import DRAWINGS
 from carrl.sim.centreline import Centreline
+from carrl.sim.inspection import inspect_track
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track, builtin_names
@@ -286,8 +287,8 @@ def test_a_centreline_file_loads_however_it_is_written(load_text, content: str):
         (HEADER + SQUARE.replace("40,40,2,3", "40,0,2,3"), "lines 3 and 4 repeat a point"),
         (HEADER + SQUARE.replace("40,40,2,3", "\n40,0.001,2,3"), "lines 3 and 5 repeat a point"),
         (HEADER + SQUARE + "0,0,2,3\n0,0,2,3\n", "lines 6 and 2 repeat a point"),
-        (HEADER + "0,0,2,3\n40,40,2,3\n40,0,2,3\n0,40,2,3\n", "the centreline crosses itself"),
-        (HEADER + "0,0,2,3\n40,0,2,3\n80,0,2,3\n", "the centreline crosses itself"),
+        (HEADER + "0,0,2,3\n40,40,2,3\n40,0,2,3\n0,40,2,3\n", "the centreline crosses itself at 0 m, where its two"),
+        (HEADER + "0,0,2,3\n40,0,2,3\n80,0,2,3\n", "the centreline crosses itself by turning back"),
         (bytes(range(256)) * 4, "not a CSV text file"),
         (b"\x00" * 64, "no column x_m"),
         ((HEADER + SQUARE).encode("utf-16"), "not a CSV text file"),
@@ -363,6 +364,82 @@ def test_a_real_circuit_loads_with_gates_across_its_road(real_circuits: Path, na
     assert_gates_span_the_road_and_face_forward(track, tolerance=0.1)
 
 
-def test_suzuka_is_refused_because_it_crosses_itself(real_circuits: Path):
-    with pytest.raises(TrackError, match=r"^track 'Suzuka\.csv': the centreline crosses itself; bridges"):
-        Track.load(real_circuits / "Suzuka.csv")
+@pytest.mark.parametrize("name", CIRCUITS)
+def test_the_walls_of_a_real_circuit_never_cross_and_none_is_without_length(real_circuits: Path, name: str):
+    track = Track.load(real_circuits / f"{name}.csv")
+    left, right = track.walls[: len(track.walls) // 2], track.walls[len(track.walls) // 2 :]
+    assert len(track.walls) == 2 * len(track.centreline)  # none of these circuits folds
+    assert (track.walls[:, 0] - track.walls[:, 1]).norm(dim=1).min() > 0
+    for side, walls in ((track.left_wall, left), (track.right_wall, right)):
+        assert ring(side).is_simple
+        assert torch.equal(walls[:, 0], side)
+    assert not ring(track.left_wall).intersects(ring(track.right_wall))
+    assert inspect_track(track).faults == ()
+
+
+# Beside the road
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_a_wall_stands_beside_the_middle_of_its_segment(name: str):
+    track = Track.load(name)
+    assert track.wall_stations.dtype == torch.float64
+    middle = track.pose_at(track.wall_stations)[:, :2]
+    distance = (track.walls.mean(dim=1) - middle).norm(dim=1)
+    torch.testing.assert_close(distance, torch.full_like(distance, DRAWINGS[name].width / 2), atol=0.12, rtol=0)
+
+
+def test_the_room_beside_a_straight_is_the_widths_of_the_file(load_text):
+    track = load_text(HEADER + SQUARE)
+    # Left of the first side's middle the wall is 3 m / sqrt(2) off, since the corners' walls stand on the bisectors.
+    room = track.room_at(torch.tensor([20.0, 20.0 + track.length, 60.0]))
+    assert room.dtype == torch.float64
+    np.testing.assert_allclose(room.numpy(), [[3 / 2**0.5, 2 / 2**0.5]] * 3, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_the_room_of_a_builtin_track_is_half_its_width_everywhere(name: str):
+    room = Track.load(name).room_at(torch.arange(0, 200, 0.7))
+    torch.testing.assert_close(room, torch.full_like(room, DRAWINGS[name].width / 2), atol=0.1, rtol=0)
+
+
+# The same road otherwise
+
+
+def test_a_mirrored_track_turns_right_where_the_track_turns_left():
+    track, mirrored = Track.load("serpentine"), Track.load("serpentine").mirrored()
+    assert mirrored.name == "serpentine-mirrored"
+    flip = torch.tensor([1.0, -1.0])
+    bends, mirrored_bends = (curvature(t.centreline.double().numpy()) for t in (track, mirrored))
+    np.testing.assert_allclose(mirrored_bends, -bends, atol=1e-9)
+    assert torch.equal(mirrored.left_wall, track.right_wall * flip)
+    assert torch.equal(mirrored.gates, track.gates.flip(1) * flip)
+    assert mirrored.length == track.length
+    torch.testing.assert_close(mirrored.room_at(torch.tensor([50.0])), track.room_at(torch.tensor([50.0])).flip(1))
+
+
+def test_a_reversed_track_has_the_same_gates_in_reverse_order_and_the_same_start_line():
+    track, turned = Track.load("serpentine"), Track.load("serpentine").reversed()
+    assert turned.name == "serpentine-reversed"
+    assert turned.length == pytest.approx(track.length)
+    torch.testing.assert_close(turned.gates[-1], track.gates[-1].flip(0))
+    torch.testing.assert_close(turned.gates[:-1], track.gates[:-1].flip(0).flip(1), atol=1e-4, rtol=0)
+    stations = torch.arange(1.0, track.length, 7.3, dtype=torch.float64)
+    there, back = track.pose_at(stations), turned.pose_at(track.length - stations)
+    torch.testing.assert_close(back[:, :2], there[:, :2], atol=1e-4, rtol=0)
+    assert (torch.cos(back[:, 2] - there[:, 2]) < -0.999).all()
+    torch.testing.assert_close(turned.room_at(track.length - stations), track.room_at(stations).flip(1))
+
+
+@pytest.mark.parametrize("change", [Track.mirrored, Track.reversed])
+def test_mirrored_or_reversed_twice_a_track_is_itself(change):
+    track = Track.load("paper")
+    again = change(change(track))
+    for side in ("centreline", "left_wall", "right_wall"):
+        assert torch.equal(getattr(again, side), getattr(track, side))
+
+
+def test_mirrored_and_reversed_tracks_have_no_faults():
+    for change in (Track.mirrored, Track.reversed):
+        assert_gates_span_the_road_and_face_forward(change(Track.load("paper")), tolerance=1e-3)
+        assert inspect_track(change(Track.load("paper"))).faults == ()

@@ -46,7 +46,7 @@ def drive(track, choose, steps=400):
     state = simulator.start(torch.zeros(1))
     poses, ranges, actions = [state.pose], [], []
     for step in range(steps):
-        ranges.append(simulator.sense(state.pose))
+        ranges.append(simulator.sense(state))
         actions.append(choose(step, ranges[-1]))
         outcome = simulator.step(state, actions[-1])
         state = outcome.state

@@ -1,0 +1,213 @@
+"""`carrl track`: lists, draws, checks and makes up tracks."""
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carrl.errors import TrackError
+
+if TYPE_CHECKING:
+    from carrl.sim.inspection import TrackReport
+    from carrl.sim.track import Track
+
+
+def main(argv: list[str]) -> int:
+    """Runs one verb of `carrl track` and returns the exit code."""
+    arguments = _parser().parse_args(argv)
+    return int(arguments.run(arguments))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="carrl track", description="list, draw, check and make up tracks")
+    verbs = parser.add_subparsers(metavar="VERB", required=True)
+
+    def add_verb(name: str, run: Any, what: str, json_flag: bool = True) -> argparse.ArgumentParser:
+        verb = verbs.add_parser(name, help=what, description=what)
+        verb.set_defaults(run=run)
+        if json_flag:
+            verb.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
+        return verb
+
+    add_verb("list", _list, "the tracks that come with CarRL")
+    show = add_verb("show", _show, "draw a track as a PNG", json_flag=False)
+    show.add_argument("track", metavar="NAME|FILE", help="a built-in track, or a .csv, .yaml or .npy file")
+    show.add_argument("--out", metavar="FILE.png", help="default: the track's name; an older picture is replaced")
+    check = add_verb("check", _check, "measure tracks and find their faults; exit code 1 where there are any")
+    check.add_argument("tracks", nargs="+", metavar="NAME|FILE", help="a built-in track, or a .csv, .yaml or .npy file")
+    check.add_argument(
+        "--body-radius", type=float, default=0.5, metavar="M", help="of the car, m (default %(default)s)"
+    )
+    random = add_verb("random", _random, "draw random circuits and write each as a CSV file")
+    random.add_argument("--seed", type=int, default=0, metavar="N", help="of the first circuit (default 0)")
+    random.add_argument("--count", type=int, default=1, metavar="N", help="how many circuits, of seeds from there on")
+    for measure in ("corner-radius", "width", "length"):
+        random.add_argument(
+            f"--{measure}", type=float, nargs="+", metavar="M", help="m: one number, or two that are a range"
+        )
+    random.add_argument(
+        "--out", metavar="FILE.csv", help="default: random-SEED.csv; with --count above 1 each name gets its seed"
+    )
+    random.add_argument("--force", action="store_true", help="replace files that are there already")
+    return parser
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from carrl.sim.inspection import inspect_track
+    from carrl.sim.track import Track, builtin_names
+
+    reports = [inspect_track(Track.load(name)) for name in builtin_names()]
+    if arguments.json:
+        _print_json([_as_json(report) for report in reports])
+        return 0
+    header = ("track", "length", "width", "least radius", "gates")
+    _print_table("built-in tracks", header, [_row(report) for report in reports])
+    return 0
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    from carrl.sim.track import Track
+    from carrl.view.figure import save_png
+    from carrl.view.track_map import draw_track_map
+
+    track = Track.load(arguments.track)
+    path = Path(arguments.out or f"{Path(track.name).stem}.png")
+    if path.suffix.lower() != ".png":
+        raise TrackError(f"--out is '{path}'; the picture is a PNG, so its name must end in .png")
+    track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
+    try:
+        save_png(track_map.figure, path)
+    except OSError as error:
+        raise TrackError(f"'{path}' cannot be written: {error.strerror}") from error
+    print(path)
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    """Checks every track even when one cannot be read, and returns the gravest exit code."""
+    from carrl.sim.inspection import inspect_track
+    from carrl.sim.track import Track
+
+    if not 0 < arguments.body_radius < float("inf"):
+        raise TrackError(f"--body-radius is {arguments.body_radius}; it must be a positive number of metres")
+    exit_code, documents = 0, []
+    for name in arguments.tracks:
+        try:
+            report = inspect_track(Track.load(name), arguments.body_radius)
+        except TrackError as error:
+            exit_code = 2
+            print(f"carrl: {error}", file=sys.stderr)
+            documents.append({"path": name, "error": str(error)})
+            continue
+        exit_code = max(exit_code, 1 if report.faults else 0)
+        documents.append({"path": name, **_as_json(report)})
+        if not arguments.json:
+            _print_report(report)
+    if arguments.json:
+        _print_json(documents)
+    return exit_code
+
+
+def _random(arguments: argparse.Namespace) -> int:
+    from carrl.sim.csv_file import write_csv
+    from carrl.sim.inspection import inspect_track
+    from carrl.sim.track import Track
+
+    if arguments.count < 1:
+        raise TrackError(f"--count is {arguments.count}; it must be at least 1")
+    seeds = range(arguments.seed, arguments.seed + arguments.count)
+    paths = [_path_of(seed, arguments) for seed in seeds]
+    for path in paths:
+        if path.exists() and not arguments.force:
+            raise TrackError(f"'{path}' is there already; choose another --out, or --force to replace it")
+    reports = []
+    for seed, path in zip(seeds, paths, strict=True):
+        track = Track.random(seed, **_ranges(arguments))
+        write_csv(path, _centreline_of(track))
+        reports.append({"path": str(path), "seed": seed, **_as_json(inspect_track(track))})
+        if not arguments.json:
+            print(path)
+    if arguments.json:
+        _print_json(reports)
+    return 0
+
+
+def _path_of(seed: int, arguments: argparse.Namespace) -> Path:
+    path = Path(arguments.out or f"random-{seed}.csv")
+    if path.suffix.lower() != ".csv":
+        raise TrackError(f"--out is '{path}'; the track is a CSV file, so its name must end in .csv")
+    return path.with_name(f"{path.stem}-{seed}.csv") if arguments.out and arguments.count > 1 else path
+
+
+def _ranges(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The measures that were given: one number as itself, more as a range."""
+    given = {name: getattr(arguments, name) for name in ("corner_radius", "width", "length")}
+    return {name: value[0] if len(value) == 1 else value for name, value in given.items() if value}
+
+
+def _centreline_of(track: "Track") -> Any:
+    """The centreline and widths of a track whose walls stand square to it, as those of `Track.random` do."""
+    from carrl.sim.centreline import Centreline
+
+    middle, left, right = (line.double() for line in (track.centreline, track.left_wall, track.right_wall))
+    widths = ((side - middle).norm(dim=1).numpy() for side in (right, left))
+    return Centreline(middle.numpy(), *widths)
+
+
+def _as_json(report: "TrackReport") -> dict[str, Any]:
+    return dataclasses.asdict(report)
+
+
+def _print_json(document: Any) -> None:
+    print(json.dumps(document, indent=2))
+
+
+def _row(report: "TrackReport") -> tuple[str, ...]:
+    radii = [radius for radius in (report.least_radius_left, report.least_radius_right) if radius is not None]
+    radius = f"{min(radii):.1f} m" if radii else "none"
+    return (report.name, f"{report.length:,.1f} m", _width(report), radius, str(report.gates))
+
+
+def _width(report: "TrackReport") -> str:
+    low, high = f"{report.width_min:.1f}", f"{report.width_max:.1f}"
+    return f"{low} m" if low == high else f"{low} to {high} m"
+
+
+def _print_report(report: "TrackReport") -> None:
+    left, right = (
+        "no turns" if radius is None else f"{radius:.1f} m"
+        for radius in (report.least_radius_left, report.least_radius_right)
+    )
+    bridges = [
+        f"{b.over[0]:,.0f} to {b.over[1]:,.0f} m over {b.under[0]:,.0f} to {b.under[1]:,.0f} m" for b in report.bridges
+    ]
+    rows = [
+        ("length", f"{report.length:,.1f} m"),
+        ("width", _width(report)),
+        ("least radius, left", left),
+        ("least radius, right", right),
+        ("points of the centreline", f"{report.points:,}"),
+        ("walls", f"{report.walls:,}"),
+        ("gates", f"{report.gates:,}"),
+        ("bridges", "; ".join(bridges) or "none"),
+        ("folds cut", f"{report.folds}"),
+        ("faults", f"{len(report.faults)}" if report.faults else "none"),
+    ]
+    _print_table(report.name, ("", ""), rows)
+    for fault in report.faults:
+        print(f"fault: {fault}")
+
+
+def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", show_header=any(header))
+    for name in header:
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console(markup=False, highlight=False, emoji=False).print(table)

@@ -1,0 +1,56 @@
+"""Random numbers for cars that belong to several agents, each drawn from its agent's own generator.
+
+So each agent's cars fare as they would alone, whatever the others do.
+
+Shapes: `N` cars, agent by agent.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+
+class RandomStreams:
+    """One generator for each agent.
+
+    Args:
+        seeds: of each agent's generator; None for a fresh one.
+        share: cars of each agent.
+    """
+
+    def __init__(self, seeds: Sequence[int | None], share: int) -> None:
+        """Seeds the generators."""
+        self._share = share
+        self._generators = [torch.Generator() for _ in seeds]
+        for generator, seed in zip(self._generators, seeds, strict=True):
+            if seed is None:
+                generator.seed()
+            else:
+                generator.manual_seed(seed)
+
+    def seed(self, seed: int) -> None:
+        """Begins anew with this seed for the first agent, the next one for the second, and so on."""
+        for offset, generator in enumerate(self._generators):
+            generator.manual_seed(seed + offset)
+
+    def integers(self, high: int) -> Tensor:
+        """Whole numbers from 0 to `high` - 1, [N], int64."""
+        return torch.cat([torch.randint(high, (self._share,), generator=each) for each in self._generators])
+
+    def uniform(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
+        """Numbers from 0 to 1, [N, *columns], float64; zero for agents none of whose cars is `wanted`, [N]."""
+        return self._draw(torch.rand, columns, wanted)
+
+    def normal(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
+        """Numbers of mean 0 and standard deviation 1, [N, *columns], float64; zero as in `uniform`."""
+        return self._draw(torch.randn, columns, wanted)
+
+    def _draw(self, draw: Callable[..., Tensor], columns: tuple[int, ...], wanted: Tensor | None) -> Tensor:
+        numbers = torch.zeros(self._share * len(self._generators), *columns, dtype=torch.float64)
+        is_wanted = torch.ones(len(numbers), dtype=torch.bool) if wanted is None else wanted
+        shares = zip(self._generators, numbers.split(self._share), is_wanted.split(self._share), strict=True)
+        for generator, own, own_wanted in shares:
+            if own_wanted.any():
+                own.copy_(draw(own.shape, dtype=torch.float64, generator=generator))
+        return numbers

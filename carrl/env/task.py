@@ -1,0 +1,193 @@
+"""The driving task in plain tensors: where an episode starts, what a step earns, when the episode ends.
+
+Every environment of this package is a thin cover over it.
+
+Shapes: `N` cars driven side by side, `K` of them, `R` rays, `T` tracks.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from carrl.env.observation import FIRST_ACTION, observation_size, observe, read
+from carrl.env.random_streams import RandomStreams
+from carrl.env.reward import Reward
+from carrl.errors import ConfigError
+from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import Simulator, State
+from carrl.sim.track import Track
+from carrl.sim.vehicle import Vehicle, VehicleModel
+
+Tracks = Track | str | Sequence[Track | str]
+
+
+class Situation(NamedTuple):
+    """All that an episode is at one moment.
+
+    Attributes:
+        state: of the simulator.
+        step: steps since the start, [N], int64.
+        last_action: of the step before, [N], int64; forward at the start.
+        observation: what the driver is told, [N, R] or, with the last action, [N, R + 3], float32.
+    """
+
+    state: State
+    step: Tensor
+    last_action: Tensor
+    observation: Tensor
+
+
+class Transition(NamedTuple):
+    """What one step brought.
+
+    Attributes:
+        situation: after the step.
+        reward_terms: see `carrl.env.reward`, [N, 4], float32; the reward is their sum.
+        terminated: the car touched a wall, [N], bool.
+        truncated: the episode reached its last step without that, [N], bool.
+    """
+
+    situation: Situation
+    reward_terms: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Task:
+    """Episodes of any number of cars. It holds nothing of them but the random generators.
+
+    Args:
+        track: what all cars drive on; or several tracks, of which the cars get one each in turn.
+        num_envs: how many cars; so many for each seed.
+        seeds: of the random generators; see `RandomStreams`.
+        device: where the tensors live.
+        vehicle: the car.
+        sensor: its rays.
+        reward: what a step earns.
+        max_steps: length at which an episode is truncated, steps.
+        random_start: start anywhere along the centreline instead of on the start line.
+        start_offset: how far beside the centreline an episode may start, as a share of the room there, 0..1.
+        heading_jitter: how far an episode's first heading may deviate from the driving direction, degrees.
+        sample_track: draw each car's track anew for each episode.
+        mirrored: drive every other episode, by chance, on the mirror image of the track.
+        reversed: drive every other episode, by chance, the other way round.
+        observe_action: append the last action to the observation, one-hot.
+
+    Raises:
+        TrackError: a track cannot be loaded.
+        ConfigError: a parameter is out of its range.
+    """
+
+    def __init__(
+        self,
+        track: Tracks = "paper",
+        num_envs: int = 1,
+        seeds: Sequence[int | None] = (None,),
+        device: torch.device | str = "cpu",
+        *,
+        vehicle: VehicleModel | None = None,
+        sensor: Sensor | None = None,
+        reward: Reward | None = None,
+        max_steps: int = 1000,
+        random_start: bool = False,
+        start_offset: float = 0.0,
+        heading_jitter: float = 0.0,
+        sample_track: bool = False,
+        mirrored: bool = False,
+        reversed: bool = False,
+        observe_action: bool = False,
+    ) -> None:
+        """Builds the simulator."""
+        _check("num_envs", num_envs, num_envs >= 1, "at least 1")
+        _check("max_steps", max_steps, max_steps >= 1, "at least 1")
+        _check("start_offset", start_offset, 0 <= start_offset <= 1, "a share between 0 and 1")
+        _check("heading_jitter", heading_jitter, 0 <= heading_jitter <= 180, "between 0 and 180 degrees")
+        self.reward = reward or Reward()
+        self.max_steps, self.random_start, self.observe_action = max_steps, random_start, observe_action
+        self.start_offset, self.heading_jitter = start_offset, math.radians(heading_jitter)
+        bases = [each if isinstance(each, Track) else Track.load(each) for each in _listed(track)]
+        tracks = [variant for base in bases for variant in _variants(base, mirrored, reversed)]
+        self.simulator = Simulator(tracks, vehicle or Vehicle(), sensor or Sensor(), device)
+        self.cars = num_envs * len(seeds)
+        self.streams = RandomStreams(seeds, num_envs)
+        self._variants = len(tracks) // max(1, len(bases))
+        self._samples_track = sample_track and len(bases) > 1
+        self._own_base = (torch.arange(num_envs) % len(bases)).repeat(len(seeds))
+
+    @property
+    def observation_size(self) -> int:
+        """Values of an observation."""
+        return observation_size(self.simulator.sensor.rays, self.observe_action)
+
+    @property
+    def starts_alike(self) -> bool:
+        """Whether every episode of a car starts in the same situation."""
+        by_chance = self.random_start or self.start_offset or self.heading_jitter
+        return not (by_chance or self._samples_track or self._variants > 1) and self.simulator.sensor.is_exact
+
+    def start(self, wanted: Tensor | None = None) -> Situation:
+        """New episodes of the `wanted` cars, [N] bool with K of them true; of all by default.
+
+        Returns:
+            Their situations alone, K instead of N.
+        """
+        wanted = torch.ones(self.cars, dtype=torch.bool) if wanted is None else wanted.cpu()
+        place = self.streams.uniform(wanted=wanted) if self.random_start else torch.zeros(self.cars).double()
+        track = self._draw_tracks(wanted)
+        state = self.simulator.start(
+            stations=(place * self.simulator.routes.lengths[track])[wanted],
+            track=track[wanted],
+            offset=self._draw_within(self.start_offset, wanted),
+            heading=self._draw_within(self.heading_jitter, wanted),
+        )
+        readings = read(self.simulator.sensor, self.simulator.sense(state), self.streams, wanted)
+        last_action = torch.full_like(state.next_gate, FIRST_ACTION)
+        observation = observe(readings, last_action, self.observe_action)
+        return Situation(state, torch.zeros_like(last_action), last_action, observation)
+
+    def step(self, situation: Situation, action: Tensor) -> Transition:
+        """Drives every car by one time step: actions [N], int64.
+
+        The reward counts true distances, whatever the sensor reads.
+        """
+        outcome = self.simulator.step(situation.state, action)
+        truth = outcome.ranges / self.simulator.sensor.max_range
+        terms = self.reward.terms(truth, outcome.collided, outcome.gates_passed, action, situation.last_action)
+        readings = read(self.simulator.sensor, outcome.ranges, self.streams)
+        step = situation.step + 1
+        truncated = (step >= self.max_steps) & ~outcome.collided
+        observation = observe(readings, action, self.observe_action)
+        after = Situation(outcome.state, step, action, observation)
+        return Transition(after, terms, outcome.collided, truncated)
+
+    def _draw_tracks(self, wanted: Tensor) -> Tensor:
+        """Which track each car drives on, [N]."""
+        base = self._own_base
+        if self._samples_track:
+            bases = len(self.simulator.tracks) // self._variants
+            base = (self.streams.uniform(wanted=wanted) * bases).long()
+        if self._variants == 1:
+            return base
+        return base * self._variants + (self.streams.uniform(wanted=wanted) * self._variants).long()
+
+    def _draw_within(self, most: float, wanted: Tensor) -> Tensor | None:
+        """Numbers between -most and most, [K]."""
+        return most * (2 * self.streams.uniform(wanted=wanted)[wanted] - 1) if most else None
+
+
+def _listed(track: Tracks) -> Sequence[Track | str]:
+    return [track] if isinstance(track, Track | str) else track
+
+
+def _variants(track: Track, mirrored: bool, reversed_: bool) -> list[Track]:
+    """The track itself, and what else it may be driven as."""
+    variants = [track, track.mirrored()] if mirrored else [track]
+    return variants + [each.reversed() for each in variants] if reversed_ else variants
+
+
+def _check(name: str, value: float, holds: bool, wanted: str) -> None:
+    if not holds:
+        raise ConfigError(f"env.{name} is {value}; it must be {wanted}")

@@ -1,0 +1,183 @@
+"""All that cars can meet on any number of tracks: walls, gates, and which of them count where, as flat tensors.
+
+A car sees the walls of one *level* of its track. A track without a bridge has one level. On others, cars on the road
+that goes over see all but the walls of the road below it, and all other cars see all but the walls of the road above.
+Which level a car is on follows from the gate that it heads for.
+
+Shapes: `T` tracks, `K` levels of all tracks, `S` walls, `G` gates, `C` cells, `L` lists, `E` entries, `B` cars. Lengths
+are in metres.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from carrl.errors import TrackError
+from carrl.sim.track import Track
+from carrl.sim.wall_grid import WallGrid
+
+
+class Plot(NamedTuple):
+    """The walls and gates of one track.
+
+    Attributes:
+        walls: [S, 2, 2], m.
+        gates: in driving order as (left end, right end), [G, 2, 2], m.
+        visible: which walls each of the track's levels has, [K, S], bool.
+        level_of_gate: the level of a car that heads for each gate, [G], int64.
+    """
+
+    walls: Tensor
+    gates: Tensor
+    visible: Tensor
+    level_of_gate: Tensor
+
+    @staticmethod
+    def of_track(track: Track, reach: float) -> "Plot":
+        """The track's walls by level, for cars that see as far as `reach` m.
+
+        Raises:
+            TrackError: two roads meet at a bridge so closely that the gates do not tell which one a car is on.
+        """
+        at = track.wall_stations
+        if not track.bridges:
+            one_level = torch.ones(1, len(at), dtype=torch.bool)
+            return Plot(track.walls, track.gates, one_level, torch.zeros(track.gate_count, dtype=torch.int64))
+        over = _within(at, [bridge.over for bridge in track.bridges], track.length)
+        under = _within(at, [bridge.under for bridge in track.bridges], track.length)
+        end = track.gate_stations
+        begin = end - track.length / track.gate_count
+        up = torch.zeros(track.gate_count, dtype=torch.bool)
+        down = up.clone()
+        for bridge in track.bridges:
+            # Twice the reach, for a car may look across the inside of a bend.
+            up |= _overlap(begin, end, (bridge.over[0] - 2 * reach, bridge.over[1] + 2 * reach), track.length)
+            down |= _overlap(begin, end, bridge.under, track.length)
+        if (up & down).any():
+            raise TrackError(
+                f"track '{track.name}': the roads at a bridge are so close along the track that the gates do not tell "
+                "them apart; use a smaller gate_spacing, or a smaller sensor range"
+            )
+        return Plot(track.walls, track.gates, torch.stack([~over, ~under]), up.long())
+
+
+class Terrain(NamedTuple):
+    """The tracks side by side; all floating-point numbers are float64.
+
+    Attributes:
+        walls: x and y of both ends, [S + 1, 4], m; the first one is out of everyone's reach.
+        gates: x and y of the left end and of the right end, [G, 4], m.
+        first_gate: of each track, and at the end G, [T + 1], int64.
+        level_of_gate: the level of a car that heads for each gate, [G], int64.
+        corners: of each level's grid: least x, least y, side of a cell, [K, 3], m.
+        shapes: of each level's grid: columns, rows, first cell, [K, 3], int64.
+        list_of_cell: which list each cell has, [C], int32.
+        lists: where in `entries` each list begins, where its walls within touch end, and where it ends, [L, 3], int32.
+        entries: indices of walls, [E], int32.
+    """
+
+    walls: Tensor
+    gates: Tensor
+    first_gate: Tensor
+    level_of_gate: Tensor
+    corners: Tensor
+    shapes: Tensor
+    list_of_cell: Tensor
+    lists: Tensor
+    entries: Tensor
+
+    @staticmethod
+    def join(plots: Sequence[Plot], reach: float, touch: float) -> "Terrain":
+        """Lays the plots side by side, on the CPU.
+
+        Args:
+            plots: one for each track.
+            reach: how far a car sees or moves in one step, m.
+            touch: how far it touches anything in one step, m, at most `reach`.
+        """
+        parts: dict[str, list[np.ndarray]] = {name: [_BEFORE_ALL[name]] for name in Terrain._fields}
+
+        def size(name: str) -> int:
+            return sum(map(len, parts[name]))
+
+        for plot in plots:
+            parts["level_of_gate"].append(plot.level_of_gate.numpy() + size("corners"))
+            walls = plot.walls.double().numpy()
+            for visible in plot.visible.numpy():
+                index = visible.nonzero()[0]
+                grid = WallGrid.build(walls[index], reach, touch)
+                parts["corners"].append(np.array([[*grid.low, grid.cell_size]]))
+                parts["shapes"].append(np.array([[grid.columns, grid.rows, size("list_of_cell")]]))
+                lists_before = size("lists") - 1  # but for the empty one, which all grids share
+                parts["list_of_cell"].append(np.where(grid.list_of_cell > 0, grid.list_of_cell + lists_before, 0))
+                parts["lists"].append(grid.lists[1:] + size("entries"))
+                parts["entries"].append(index[grid.entries] + size("walls"))
+            parts["walls"].append(walls.reshape(-1, 4))
+            parts["gates"].append(plot.gates.double().numpy().reshape(-1, 4))
+            parts["first_gate"].append(np.array([size("gates")]))
+        joined = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+        types = {name: np.int32 for name in ("list_of_cell", "lists", "entries")}
+        return Terrain(
+            **{name: torch.from_numpy(array.astype(types.get(name, array.dtype))) for name, array in joined.items()}
+        )
+
+    @property
+    def bytes(self) -> int:
+        """Memory that the tracks take."""
+        return sum(tensor.nbytes for tensor in self)
+
+    @property
+    def gate_counts(self) -> Tensor:
+        """Gates of each track, [T], int64."""
+        return self.first_gate.diff()
+
+    def level(self, track: Tensor, next_gate: Tensor) -> Tensor:
+        """The level of cars by their track [B] and the gate that they head for [B]: [B], int64."""
+        return self.level_of_gate[self.first_gate[track] + next_gate]
+
+    def walls_near(self, position: Tensor, level: Tensor) -> Tensor:
+        """All the walls within reach of each position [B, 2] on its level [B], and some others: [B, W, 2, 2], m.
+
+        W is the length of the longest list; what lacks is filled up with a wall out of reach.
+        """
+        corner, shape = self.corners[level], self.shapes[level]
+        cell = ((position.double() - corner[:, :2]) / corner[:, 2:]).floor().nan_to_num(-1)
+        is_inside = ((cell >= 0) & (cell < shape[:, :2])).all(dim=1)
+        column, row = torch.where(is_inside[:, None], cell, 0).long().unbind(1)
+        list_ = torch.where(is_inside, self.list_of_cell[shape[:, 2] + row * shape[:, 0] + column], 0)
+        begin, _, end = self.lists[list_].long().unbind(1)
+        longest = int((self.lists[:, 2] - self.lists[:, 0]).max())
+        entry = begin[:, None] + torch.arange(longest, device=begin.device)
+        is_listed = entry < end[:, None]
+        wall = torch.where(is_listed, self.entries[torch.where(is_listed, entry, 0)], 0)
+        return self.walls[wall].unflatten(-1, (2, 2))
+
+
+_NOWHERE = 1e9
+"""Where a wall stands that is out of everyone's reach, m."""
+_BEFORE_ALL: dict[str, np.ndarray] = {
+    "walls": np.array([[_NOWHERE, _NOWHERE, _NOWHERE + 1, _NOWHERE]]),
+    "gates": np.zeros((0, 4)),
+    "first_gate": np.zeros(1, np.int64),
+    "level_of_gate": np.zeros(0, np.int64),
+    "corners": np.zeros((0, 3)),
+    "shapes": np.zeros((0, 3), np.int64),
+    "list_of_cell": np.zeros(0, np.int32),
+    "lists": np.zeros((1, 3), np.int32),
+    "entries": np.zeros(0, np.int32),
+}
+"""What `Terrain` begins with: a wall that fills lists up to equal length, and the list of places where none is near."""
+
+
+def _within(stations: Tensor, stretches: Sequence[tuple[float, float]], length: float) -> Tensor:
+    """Whether each station, [S], lies on any of the stretches of a lap: [S]."""
+    return torch.stack([(stations - begin) % length <= end - begin for begin, end in stretches]).any(dim=0)
+
+
+def _overlap(begin: Tensor, end: Tensor, stretch: tuple[float, float], length: float) -> Tensor:
+    """Whether each of the intervals of a lap, [G] and [G], and the stretch have a place in common: [G]."""
+    starts_in = (begin - stretch[0]) % length <= stretch[1] - stretch[0]
+    return starts_in | ((stretch[0] - begin) % length <= end - begin)
