@@ -16,12 +16,12 @@ class Parser(argparse.ArgumentParser):
 
 
 def positive(kind: type[int] | type[float]) -> Callable[[str], float]:
-    """Parses a number above 0 and below a million."""
+    """Parses a number above 0 and at most a million."""
 
     def parse(text: str) -> float:
         value = kind(text)
-        if not 0 < value < 1e6:
-            raise argparse.ArgumentTypeError(f"{text} is not above 0 and below a million")
+        if not 0 < value <= 1e6:
+            raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most a million")
         return value
 
     parse.__name__ = "whole number" if kind is int else "number"

@@ -12,24 +12,42 @@ import gymnasium  # noqa: E402 (takes long enough to count as start-up)
 if TYPE_CHECKING:
     from carrl import log
     from carrl.env.gym_env import GymTrackEnv
+    from carrl.env.gym_vector_env import GymVectorTrackEnv
     from carrl.env.reward import Reward
     from carrl.env.track_env import TrackEnv
     from carrl.sim.sensor import Sensor
     from carrl.sim.track import Track
     from carrl.sim.vehicle import Action, Vehicle
 
-__all__ = ["Action", "GymTrackEnv", "Reward", "Sensor", "Track", "TrackEnv", "Vehicle", "__version__", "log"]
+__all__ = [
+    "Action",
+    "GymTrackEnv",
+    "GymVectorTrackEnv",
+    "Reward",
+    "Sensor",
+    "Track",
+    "TrackEnv",
+    "Vehicle",
+    "__version__",
+    "log",
+]
 
 try:
     __version__ = version("carrl")
 except PackageNotFoundError:  # a checkout on the path that was never installed
     __version__ = "0+unknown"
 
-gymnasium.register("carrl/Track-v0", entry_point="carrl.env.gym_env:GymTrackEnv", max_episode_steps=1000)
+gymnasium.register(
+    "carrl/Track-v0",
+    entry_point="carrl.env.gym_env:GymTrackEnv",
+    vector_entry_point="carrl.env.gym_vector_env:GymVectorTrackEnv",
+    max_episode_steps=1000,
+)
 
 _HOMES = {
     "Action": "carrl.sim.vehicle",
     "GymTrackEnv": "carrl.env.gym_env",
+    "GymVectorTrackEnv": "carrl.env.gym_vector_env",
     "Reward": "carrl.env.reward",
     "Sensor": "carrl.sim.sensor",
     "Track": "carrl.sim.track",

@@ -73,7 +73,10 @@ def test_every_key_has_a_comment_with_its_unit_or_effect(leaf):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"max_rang": 3.0}, "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout"),
+        (
+            {"max_rang": 3.0},
+            "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout",
+        ),
         ({"rays": "many"}, "sensor.rays is 'many'; it must be of type int"),
         ({"rays": 7.0}, "sensor.rays is 7.0; it must be of type int"),
         ({"rays": True}, "sensor.rays is True; it must be of type int"),

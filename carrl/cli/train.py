@@ -4,7 +4,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -97,10 +97,10 @@ def _open_folder(path: Path, config: DictConfig, pipeline: Pipeline, seed: int) 
         path = path / f"seed={seed}"
         (path / CONFIG).parent.mkdir(parents=True, exist_ok=True)
         write_text(path / CONFIG, OmegaConf.to_yaml(config))
-    return RunFolder(path, _open_log(path, config, pipeline.world.track))
+    return RunFolder(path, _open_log(path, config, pipeline.env.tracks))
 
 
-def _open_log(path: Path, config: DictConfig, track: Track) -> Any:
+def _open_log(path: Path, config: DictConfig, tracks: Sequence[Track]) -> Any:
     if not config.get("recorder"):
         return None
     return build_node(
@@ -109,9 +109,12 @@ def _open_log(path: Path, config: DictConfig, track: Track) -> Any:
         path=path / LOG,
         attachments={
             "config.yaml": OmegaConf.to_yaml(config, resolve=True).encode(),
-            "track.json": json.dumps(track.as_dict()).encode(),
+            **{
+                f"track-{index}.json" if index else "track.json": json.dumps(track.as_dict()).encode()
+                for index, track in enumerate(tracks)
+            },
         },
-        metadata={"seed": str(config.seed), "track": track.name},
+        metadata={"seed": str(config.seed), "track": tracks[0].name},
     )
 
 

@@ -3,7 +3,10 @@
 Shapes: `R` rays.
 """
 
-from typing import Any
+import inspect
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -12,39 +15,63 @@ import torch
 from carrl.env.reward import TERMS
 from carrl.env.task import Situation, Task, Tracks
 from carrl.errors import ConfigError
-from carrl.sim.vehicle import Action
+from carrl.sim.vehicle import Action, Vehicle
+
+if TYPE_CHECKING:
+    from carrl.env.rendering import CarLook, FollowPicture, Scene, Window
+
+OPTIONS = tuple(
+    name
+    for name, parameter in inspect.signature(Task).parameters.items()
+    if parameter.kind is parameter.KEYWORD_ONLY and name != "max_steps"
+)
+"""Names of the options that an environment hands on to its task."""
+RENDER_MODES = ["human", "rgb_array"]
+_NEVER = 2**62  # As `max_steps`: Gymnasium's own time limit truncates.
+_TRAIL_STEPS = 150
 
 
 class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     """One car on a track: `gymnasium.make("carrl/Track-v0", track=...)` after `import carrl`.
 
-    The same task as `TrackEnv` with one car. `gymnasium.make` truncates at 1,000 steps (its `max_episode_steps`).
+    The same task as `TrackEnv` with one car. As in all of Gymnasium's own environments it is `gymnasium.make` that
+    truncates episodes, at 1,000 steps or at its `max_episode_steps`, so that an episode whose last step is a collision
+    is both terminated and truncated.
 
-    Observations are distances along each ray / range, [R], float32, in [0, 1], right to left. Actions are
-    0 forward, 1 left, 2 right. `info` holds `pose` (x m, y m, heading rad), `gates_passed`, `track` (the name of the one
-    it drives on), and after a step the reward's terms by name.
+    Observations are distances along each ray / range, [R], float32, in [0, 1], right to left; with `observe_action`
+    [R + 3]. Actions are 0 forward, 1 left, 2 right. `info` holds `pose` (x m, y m, heading rad), `gates_passed`,
+    `track` (the name of the one it drives on), and after a step the reward's terms by name.
 
     Args:
         track: a track, or what `Track.load` takes, or a list of such.
-        render_mode: None; this environment does not draw.
+        render_mode: "rgb_array": `render` returns a picture, [480, 640, 3], uint8, and needs no display. "human": a
+            window shows each step for as long as it takes to drive. None: nothing is drawn.
         options: those of `TrackEnv`, from `vehicle` on, but for `max_steps`.
 
     Raises:
         TrackError: the track cannot be loaded.
-        ConfigError: a parameter is out of its range.
+        ConfigError: a parameter is out of its range or has no such name, or pygame is not installed and a render mode
+            needs it.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own convention)
+    metadata = {"render_modes": RENDER_MODES, "render_fps": 1 / Vehicle.time_step}  # noqa: RUF012 (Gymnasium's way)
 
     def __init__(self, track: Tracks = "paper", *, render_mode: str | None = None, **options: Any) -> None:
         """Builds the simulator and declares the spaces."""
-        if render_mode is not None:
-            raise ConfigError(f"render_mode is {render_mode!r}; this environment does not draw, so leave it out")
-        self.task = Task(track, max_steps=NEVER, **options)
-        self.render_mode = None
+        check_options(options)
+        check_render_mode(render_mode)
+        self.task = Task(track, max_steps=_NEVER, **options)
+        self.metadata = self.metadata | {"render_fps": 1 / self.task.simulator.vehicle.time_step}
+        self.render_mode = render_mode
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (self.task.observation_size,), np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(Action))
+        self._start = self.task.start() if self.task.starts_alike else None
         self._now: Situation | None = None
+        self._track_names = [each.name for each in self.task.simulator.tracks]
+        self._return, self._collided = 0.0, False
+        self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_STEPS)
+        self._picture = make_follow_picture(self.task) if render_mode else None
+        self._window: Window | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -53,24 +80,130 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         super().reset(seed=seed)
         if seed is not None:
             self.task.streams.seed(seed)
-        self._now = self.task.start()
-        return self._now.observation[0].numpy(), self._info(self._now)
+        self._now = now = self._start or self.task.start()
+        self._return, self._collided = 0.0, False
+        self._trail.clear()
+        if self.render_mode == "human":
+            self.render()
+        return now.observation.numpy()[0].copy(), self._info(now)
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Drives one time step; terminates on a collision and never truncates by itself."""
-        if self._now is None:
+        """Drives one time step; terminates on a collision and never truncates by itself.
+
+        Raises:
+            ResetNeeded: there was no reset.
+            InvalidAction: there is no such action.
+        """
+        before = self._now
+        if before is None:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
-        after = self.task.step(self._now, torch.tensor([int(action)]))
-        self._now = after.situation
-        terms = after.reward_terms[0]
-        info = self._info(self._now) | dict(zip(TERMS, terms.tolist(), strict=True))
-        return self._now.observation[0].numpy(), terms.sum().item(), after.terminated.item(), False, info
+        if not 0 <= action < len(Action):
+            raise gymnasium.error.InvalidAction(f"action is {action}; it must be 0 forward, 1 left or 2 right")
+        after = self.task.step(before, torch.tensor([int(action)]))
+        self._now = now = after.situation
+        terms = after.reward_terms
+        info = self._info(now) | dict(zip(TERMS, terms.tolist()[0], strict=True))
+        reward, collided = float(terms.sum().item()), bool(after.terminated.item())
+        self._return, self._collided = self._return + reward, collided
+        if self.render_mode is not None:
+            self._trail.append(before.state.pose.numpy()[0, :2])
+            if self.render_mode == "human":
+                self.render()
+        return now.observation.numpy()[0].copy(), reward, collided, False, info
+
+    def scene(self) -> "Scene":
+        """What a picture of this moment shows; its trail is empty unless there is a render mode."""
+        from carrl.env.rendering import Scene
+
+        if self._now is None:
+            raise gymnasium.error.ResetNeeded("call reset before the first picture")
+        state, step, last_action, observation = self._now
+        return Scene(
+            pose=state.pose.double().numpy()[0],
+            readings=observation.double().numpy()[0, : self.task.simulator.sensor.rays],
+            next_gate=int(state.next_gate),
+            gates_passed=int(state.gates_passed),
+            step=int(step),
+            last_action=int(last_action),
+            episode_return=self._return,
+            collided=self._collided,
+            trail=list(self._trail),
+            track=int(state.track),
+        )
+
+    def render(self) -> np.ndarray | None:
+        """A picture of this moment as the render mode wants it.
+
+        Raises:
+            ConfigError: there is no display for a window.
+        """
+        from carrl.env.rendering import Window, pixels
+
+        if self._picture is None:
+            raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
+        picture = self._picture.draw(self.scene())
+        if self.render_mode == "rgb_array":
+            return pixels(picture)
+        self._window = self._window or Window(picture.get_size(), "CarRL")
+        self._window.show(picture, self.metadata["render_fps"])
+        return None
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+        self._window = None
 
     def _info(self, now: Situation) -> dict[str, Any]:
         pose, _, gates_passed, track = now.state
-        name = self.task.simulator.tracks[track.item()].name
-        return {"pose": pose[0].numpy(), "gates_passed": gates_passed.item(), "track": name}
+        return {
+            "pose": pose.numpy()[0].copy(),
+            "gates_passed": gates_passed.item(),
+            "track": self._track_names[int(track.item())],
+        }
 
 
-NEVER = 2**62
-"""As `max_steps`: Gymnasium's own time limit truncates."""
+def check_options(options: Mapping[str, Any], others: Sequence[str] = ("max_episode_steps",)) -> None:
+    """Lets pass what the task knows.
+
+    Raises:
+        ConfigError: an option is none of these; the message lists them and the `others` that the environment has.
+    """
+    unknown = [name for name in options if name not in OPTIONS]
+    if unknown:
+        names = ", ".join(("track", "render_mode", *others, *OPTIONS))
+        raise ConfigError(f"there is no option {unknown[0]!r}; choose from {names}")
+
+
+def check_render_mode(render_mode: str | None) -> None:
+    """Lets pass one of `RENDER_MODES` or None.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    if render_mode not in (None, *RENDER_MODES):
+        raise ConfigError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or leave it out")
+
+
+def make_follow_picture(task: Task, size: tuple[int, int] | None = None) -> "FollowPicture":
+    """What draws scenes of a task, of the usual size unless one is asked for.
+
+    Raises:
+        ConfigError: pygame is not installed.
+    """
+    from carrl.env.rendering import SIZE, FollowPicture
+
+    return FollowPicture(task.simulator.tracks, _look(task), size or SIZE)
+
+
+def _look(task: Task) -> "CarLook":
+    from carrl.env.rendering import CarLook
+
+    simulator = task.simulator
+    return CarLook(
+        body_radius=simulator.vehicle.body_radius,
+        speed=simulator.vehicle.speed,
+        time_step=simulator.vehicle.time_step,
+        sensor_angles=simulator.sensor_angles.double().numpy(),
+        sensor_range=simulator.sensor.max_range,
+    )

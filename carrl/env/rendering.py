@@ -8,10 +8,12 @@ track are in metres, y upwards; positions in a picture are in pixels, y downward
 """
 
 import os
+import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +39,13 @@ Size = tuple[int, int]
 
 SIZE: Size = (640, 480)
 """Of a picture, unless another is asked for, px."""
-LEAST_VIEW = 30.0
+LEAST_VIEW = 24.0
 """Height of what the picture that follows a car shows, m; more where the rays reach farther."""
 FINE = 2
 """How many times larger everything is drawn before it is shrunk."""
 
 GROUND, ROAD, WALL, GATE = (pygame.Color(name) for name in ("#1d2429", "#414b53", "#e8eaec", "#77838c"))
-INK, FAINT, PANEL = (pygame.Color(name) for name in ("#f4f5f6", "#a9b3ba", "#12171bd8"))
+INK, FAINT, PANEL = (pygame.Color(name) for name in ("#f4f5f6", "#a9b3ba", "#12171bf0"))
 NEXT_GATE, CAR, TYRE, TRAIL = (pygame.Color(name) for name in ("#f0e442", "#f0e442", "#0b0e10", "#56b4e9"))
 NEAR, MIDDLE, FAR = (pygame.Color(name) for name in ("#d55e00", "#f0e442", "#56b4e9"))
 CRASH = pygame.Color("#d55e00")
@@ -57,6 +59,7 @@ _TYRE = np.array([[-0.22, -0.11], [-0.22, 0.11], [0.22, 0.11], [0.22, -0.11]])
 _AXLES = ((-0.55, -0.48), (-0.55, 0.48), (0.5, -0.48), (0.5, 0.48))
 _ARROW = np.array([[-0.8, -0.65], [-0.45, 0.0], [-0.8, 0.65], [1.1, 0.0]])
 _WHEEL_ANGLE = {Action.FORWARD: 0.0, Action.LEFT: 0.45, Action.RIGHT: -0.45}
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
 _CHEQUER = 0.5  # side of a square of the start line, m
 _MAP_SIZE = (150, 122)
 _MARGIN = 8
@@ -120,14 +123,16 @@ class Window:
     def __init__(self, size: Size, title: str) -> None:
         """Opens it."""
         try:
-            pygame.display.init()
-            # Where there is no display, SDL draws on nothing at all instead of failing.
-            if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+            # Without a display SDL 2.28 draws where nobody can see it, instead of failing.
+            if sys.platform == "linux" and not any(name in os.environ for name in _DISPLAYS):
                 raise pygame.error("no display was found")
+            pygame.display.init()
             self._screen = pygame.display.set_mode(size)
         except pygame.error as error:
             pygame.display.quit()
-            raise ConfigError(f"no window can be opened: {error}; for pictures without one, see rgb_array") from error
+            raise ConfigError(
+                f"no window can be opened: {error}; go where there is a display (render_mode='rgb_array' needs none)"
+            ) from error
         pygame.display.set_caption(title)
         self._clock = pygame.time.Clock()
 
@@ -168,7 +173,7 @@ class FollowPicture:
         self._picture = pygame.Surface(size)
 
     def draw(self, scene: Scene, message: Sequence[str] = ()) -> pygame.Surface:
-        """The picture of a scene, with lines of text across it if there are any; the next call draws over it."""
+        """The picture of a scene, with lines of text on it if there are any; the next call draws over it."""
         ground = self._grounds[scene.track]
         view = _Projection(self._scale * FINE, scene.pose[:2], self._fine.get_size())
         self._fine.fill(GROUND)
@@ -177,7 +182,7 @@ class FollowPicture:
         self._draw_rays(view, scene)
         _draw_car(self._fine, view, scene, self._car.body_radius)
         pygame.transform.smoothscale(self._fine, self.size, self._picture)
-        self._name_next_gate(ground, scene)
+        self._write_labels(ground, scene)
         self._draw_map(ground, scene)
         self._draw_figures(ground, scene)
         self._draw_legend()
@@ -195,14 +200,22 @@ class FollowPicture:
             pygame.draw.line(self._fine, ROAD.lerp(colour, 0.6), middle, end, FINE)
             pygame.draw.circle(self._fine, colour, end, 4 * FINE, 0 if reading < 1 else FINE)
 
-    def _name_next_gate(self, ground: "_Ground", scene: Scene) -> None:
-        """Writes the next gate's number beside it, where it is in view."""
+    def _write_labels(self, ground: "_Ground", scene: Scene) -> None:
+        """The next gate's number beside it, and what became of the car above it."""
         view = _Projection(self._scale, scene.pose[:2], self.size)
         gate = view(ground.gates[scene.next_gate])
         outwards = (gate[0] - gate[1]) / np.linalg.norm(gate[0] - gate[1])
-        for place in (gate[0] + 20 * outwards, gate[1] - 20 * outwards):
-            label = _text(f"gate {scene.next_gate + 1}", 18, NEXT_GATE)
-            self._picture.blit(label, label.get_rect(center=place.round().tolist()))
+        for place in (gate[0] + 26 * outwards, gate[1] - 26 * outwards):
+            self._write_about(place, f"gate {scene.next_gate + 1}", NEXT_GATE)
+        if scene.collided:
+            self._write_about(np.array(self.size) / 2 - (0, 26), "hit a wall", INK)
+
+    def _write_about(self, place: Floats, text: str, colour: pygame.Color) -> None:
+        """A label with its middle at a place, [2], px, if all of it is in the picture."""
+        label = _text(text, 19, colour)
+        area = label.get_rect(center=place.round().tolist())
+        if self._picture.get_rect().contains(area):
+            self._picture.blit(label, area)
 
     def _draw_map(self, ground: "_Ground", scene: Scene) -> None:
         track_map = self._maps.get(scene.track) or self._maps.setdefault(scene.track, _TrackMap(ground, _MAP_SIZE))
@@ -236,20 +249,22 @@ class FollowPicture:
     def _draw_legend(self) -> None:
         """At the bottom: how long 10 m are, and what the colours of the rays mean."""
         width, height = self.size
-        bottom, length = height - 14, 10 * self._scale
-        pygame.draw.line(self._picture, INK, (12, bottom), (12 + length, bottom), 2)
-        for end in (12, 12 + length):
+        bottom, length = height - 18, 10 * self._scale
+        _draw_panel(self._picture, pygame.Rect(_MARGIN, bottom - 22, round(length) + 18, 32))
+        left, right = _MARGIN + 9, _MARGIN + 9 + length
+        pygame.draw.line(self._picture, INK, (left, bottom), (right, bottom), 2)
+        for end in (left, right):
             pygame.draw.line(self._picture, INK, (end, bottom - 4), (end, bottom + 4), 2)
-        self._picture.blit(_text("10 m", 18, INK), (18, bottom - 17))
-        left, span = width - 112, 100
-        for column in range(span):
-            colour = _nearness_colour(column / span)
-            pygame.draw.line(self._picture, colour, (left + column, bottom - 3), (left + column, bottom + 3))
-        for text, place in (("0", left), (f"{self._car.sensor_range:g} m", left + span)):
-            label = _text(text, 18, INK)
-            self._picture.blit(label, (place - (place > left) * label.get_width(), bottom - 18))
-        label = _text("wall at", 18, FAINT)
-        self._picture.blit(label, label.get_rect(center=(left + 38, bottom - 11)))
+        self._picture.blit(_text("10 m", 18, INK), (left + 8, bottom - 17))
+        _draw_panel(self._picture, pygame.Rect(width - _MARGIN - _MAP_SIZE[0], bottom - 22, _MAP_SIZE[0], 32))
+        left, right = width - _MARGIN - _MAP_SIZE[0] + 9, width - _MARGIN - 9
+        for column in range(left, right):
+            colour = _nearness_colour((column - left) / (right - left))
+            pygame.draw.line(self._picture, colour, (column, bottom - 2), (column, bottom + 3))
+        reach, ray = _text(f"{self._car.sensor_range:g} m", 18, INK), _text("ray ends at", 18, FAINT)
+        self._picture.blit(_text("0", 18, INK), (left, bottom - 17))
+        self._picture.blit(reach, (right - reach.get_width(), bottom - 17))
+        self._picture.blit(ray, ray.get_rect(midtop=((left + right) / 2 - 10, bottom - 17)))
 
 
 class FleetPicture:
@@ -270,7 +285,7 @@ class FleetPicture:
         """The picture of cars at their poses [B, 3], those `ended` [B] in the colour of a crash, the first on top."""
         self._picture.blit(self._map.surface, (0, 0))
         view = self._map.view
-        shape = _ARROW * max(self._radius, 5.5 / view.scale)
+        shape = _ARROW * max(self._radius, 6.5 / view.scale)
         for car in range(len(poses))[::-1]:
             colour = CRASH if ended[car] else FLEET[car % len(FLEET)]
             outline = view(_placed(shape, poses[car])).tolist()
@@ -333,16 +348,16 @@ class _Ground:
             for left, left_end, right_end, right in pieces:
                 for begin, end in ((left, left_end), (right, right_end)):
                     pygame.draw.line(surface, WALL, begin, end, width)
-                    pygame.draw.circle(surface, WALL, end, width / 2)
+                    pygame.draw.circle(surface, WALL, end, (width - 1) / 2)
 
     def _draw_gate(self, surface: pygame.Surface, view: _Projection, gate: int, next_gate: int | None) -> None:
         """The last gate is the start line."""
         if gate == len(self.gates) - 1:
             _draw_chequers(surface, view, self.gates[gate])
         elif gate != next_gate:
-            pygame.draw.line(surface, GATE, *view(self.gates[gate]).tolist(), max(2, round(0.12 * view.scale)))
+            _draw_across(surface, view(self.gates[gate]), GATE, max(2, round(0.12 * view.scale)))
         if gate == next_gate:
-            pygame.draw.line(surface, NEXT_GATE, *view(self.gates[gate]).tolist(), max(3, round(0.25 * view.scale)))
+            _draw_across(surface, view(self.gates[gate]), NEXT_GATE, max(3, round(0.25 * view.scale)))
 
     def _is_over(self, stations: Floats) -> NDArray[np.bool_]:
         """Whether stations [K], m, lie on the upper road of a bridge, [K]."""
@@ -377,9 +392,9 @@ class _TrackMap:
             ground.draw(large, view, None)
         start = view(ground.gates[-1])
         across = (start[0] - start[1]) / np.linalg.norm(start[0] - start[1])
-        ends = (start.mean(axis=0) + side * 6 * FINE * across for side in (1, -1))
-        if panel:
-            pygame.draw.line(large, INK, *(end.tolist() for end in ends), 2 * FINE)
+        if np.linalg.norm(start[0] - start[1]) < 12 * FINE:  # too short to be seen otherwise
+            ends = start.mean(axis=0) + 6 * FINE * np.stack([across, -across])
+            _draw_across(large, ends, INK, 2 * FINE)
         self.surface = pygame.transform.smoothscale(large, size)
         if panel:
             name = _text(ground.track.name[:24], 17, FAINT)
@@ -395,6 +410,11 @@ def _placed(shape: Floats, pose: Floats) -> Floats:
     """A shape with its nose to +x, [K, 2], m, at a pose [3]."""
     sine, cosine = np.sin(pose[2]), np.cos(pose[2])
     return np.asarray(shape @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2])
+
+
+def _draw_across(surface: pygame.Surface, ends: Floats, colour: pygame.Color, width: int) -> None:
+    """A line between two ends [2, 2], px."""
+    pygame.draw.line(surface, colour, ends[0].tolist(), ends[1].tolist(), width)
 
 
 def _draw_ring(surface: pygame.Surface, colour: pygame.Color, line: list[list[float]], width: int) -> None:
@@ -419,7 +439,7 @@ def _draw_chequers(surface: pygame.Surface, view: _Projection, gate: Floats) -> 
 def _draw_trail(surface: pygame.Surface, view: _Projection, trail: Sequence[Floats]) -> None:
     """A line through the positions [T, 2], m, that fades towards the oldest."""
     points = view(np.stack(trail)).tolist()
-    for index, (begin, end) in enumerate(zip(points, points[1:], strict=False)):
+    for index, (begin, end) in enumerate(pairwise(points)):
         pygame.draw.line(surface, ROAD.lerp(TRAIL, 0.15 + 0.6 * index / len(points)), begin, end, 2 * FINE)
 
 
@@ -427,7 +447,7 @@ def _draw_car(surface: pygame.Surface, view: _Projection, scene: Scene, body_rad
     """The car with its front wheels turned, in the disc that must not touch a wall."""
     radius = max(body_radius, 6 * FINE / view.scale)
     middle, colour = view(scene.pose[:2]).tolist(), CRASH if scene.collided else CAR
-    pygame.draw.circle(surface, ROAD.lerp(colour, 0.35), middle, radius * view.scale)
+    pygame.draw.circle(surface, ROAD.lerp(colour, 0.5), middle, radius * view.scale, FINE)
     for x, y in _AXLES:
         angle = _WHEEL_ANGLE[Action(scene.last_action)] if x > 0 else 0.0
         tyre = _placed(_TYRE, np.array([x, y, angle]))
@@ -449,24 +469,27 @@ def _panel(size: Size) -> pygame.Surface:
 
 
 def _draw_message(surface: pygame.Surface, lines: Sequence[str]) -> None:
-    """Lines of text in the middle, the first one large."""
-    texts = [_text(line, 20 if index else 30, INK) for index, line in enumerate(lines)]
-    height = sum(text.get_height() + 8 for text in texts)
-    place = pygame.Rect(0, 0, max(text.get_width() for text in texts) + 40, height + 24)
-    place.center = surface.get_rect().center
+    """Lines of text below the middle, the first one large; a tab makes two columns."""
+    rows = [[_text(part, 20 if index else 30, INK) for part in line.split("\t")] for index, line in enumerate(lines)]
+    half = max(max(part.get_width() / (3 - len(row)) for part in row) for row in rows) + 30
+    place = pygame.Rect(0, 0, round(2 * half), sum(row[0].get_height() + 8 for row in rows) + 24)
+    place.center = surface.get_width() // 2, round(0.7 * surface.get_height())
     _draw_panel(surface, place)
     top = place.top + 16
-    for text in texts:
-        surface.blit(text, text.get_rect(midtop=(place.centerx, top)))
-        top += text.get_height() + 8
+    for row in rows:
+        if len(row) == 1:
+            surface.blit(row[0], row[0].get_rect(midtop=(place.centerx, top)))
+        else:
+            surface.blit(row[0], row[0].get_rect(topright=(place.centerx - 10, top)))
+            surface.blit(row[1], (place.centerx + 10, top))
+        top += row[0].get_height() + 8
+
+
+def _text(text: str, height: int, colour: pygame.Color) -> pygame.Surface:
+    return _written(text, height, (colour.r, colour.g, colour.b))
 
 
 @lru_cache(maxsize=256)
-def _text(text: str, height: int, colour: tuple[int, int, int, int]) -> pygame.Surface:
-    return _font(height).render(text, True, colour)
-
-
-@lru_cache(maxsize=8)
-def _font(height: int) -> pygame.font.Font:
+def _written(text: str, height: int, colour: tuple[int, int, int]) -> pygame.Surface:
     pygame.font.init()
-    return pygame.font.Font(None, height)
+    return pygame.font.Font(None, height).render(text, True, colour)  # A kept font would not outlive pygame.quit().

@@ -107,7 +107,7 @@ class TrackEnv(EnvBase):
         super().__init__(device=device, batch_size=[task.cars])
         self.task = task
         self._declare_specs()
-        self._first_start = self._begin(task.start())
+        self._start_line = self._begin(task.start()) if task.starts_alike else None
 
     @property
     def simulator(self) -> Simulator:
@@ -143,16 +143,12 @@ class TrackEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         """All cars at the start, of which EnvBase takes those that `_reset` names."""
-        start = self._first_start.clone()
-        if self.task.starts_alike:
-            return start
+        if self._start_line is not None:
+            return self._start_line.clone()
         if tensordict is None or "_reset" not in tensordict:
             return self._begin(self.task.start())
         wanted = tensordict["_reset"].view(-1)
-        index = wanted.nonzero()[:, 0]
-        for key, values in _as_dict(self.task.start(wanted)).items():
-            start[key].index_copy_(0, index, values)
-        return start
+        return self._begin(self.task.start(wanted), wanted.nonzero()[:, 0])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = State(*(tensordict[key] for key in State._fields))
@@ -170,11 +166,15 @@ class TrackEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.task.streams.seed(0 if seed is None else seed)
 
-    def _begin(self, situation: Situation) -> TensorDict:
-        """All cars at the start of an episode, not done."""
-        terms = situation.observation.new_zeros(*self.batch_size, len(TERMS))
-        flags = {key: torch.zeros(*self.batch_size, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
-        values = _as_dict(situation) | {"reward_terms": terms} | flags
+    def _begin(self, situation: Situation, cars: Tensor | None = None) -> TensorDict:
+        """All cars, or these [K], at the start of an episode, not done; zeros elsewhere."""
+        values = _as_dict(situation)
+        if cars is not None:
+            for key, value in values.items():
+                values[key] = value.new_zeros(*self.batch_size, *value.shape[1:]).index_copy_(0, cars, value)
+        values["reward_terms"] = values["observation"].new_zeros(*self.batch_size, len(TERMS))
+        for key in ("done", "terminated", "truncated"):
+            values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _declare_specs(self) -> None:

@@ -92,6 +92,7 @@ COLUMNS = (
     Column("action_value", "action_value", "<f4", "float32", (3,), "Q-values of forward, left, right"),
     Column("epsilon", "epsilon", "<f4", "float32", (), "probability with which an action was drawn at random"),
     Column("exploratory", "exploratory", "|b1", "bool", (), "the action was drawn at random"),
+    Column("track", "track", "<i4", "int64", (), "index of the track that the car was on, among the attached ones"),
 )
 
 

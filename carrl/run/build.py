@@ -22,7 +22,7 @@ from carrl.run.learner import Agent, Learner
 from carrl.run.plan import EvaluationPlan, TrainingPlan
 from carrl.sim.sensor import Sensor
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Action, VehicleModel
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class World:
     """What is simulated: everything that an evaluation needs but the policy."""
 
     track: Track
-    vehicle: Vehicle
+    vehicle: VehicleModel
     sensor: Sensor
     reward: Reward
 

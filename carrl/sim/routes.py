@@ -25,6 +25,7 @@ class Routes:
 
     Attributes:
         lengths: of the centrelines, [T], float64, m.
+        segment_middles: milestones of the middles of the centrelines' segments, [P], float64, m.
     """
 
     def __init__(self, tracks: Sequence["Track"]) -> None:
@@ -40,6 +41,7 @@ class Routes:
         self._base = self.lengths.cumsum(0) - self.lengths
         self._segment_begin = torch.cat([base + each[:-1] for base, each in zip(self._base, stations, strict=True)])
         self._segment_end = torch.cat([base + each[1:] for base, each in zip(self._base, stations, strict=True)])
+        self.segment_middles = (self._segment_begin + self._segment_end) / 2
         self._last_segment = torch.tensor([len(line) for line in lines]).cumsum(0) - 1
         self._gate_counts = torch.tensor([track.gate_count for track in tracks])
         self._first_gate = self._gate_counts.cumsum(0) - self._gate_counts
@@ -60,9 +62,15 @@ class Routes:
         return self._points_at(track, stations)[1][:, 1:]
 
     def room(self, track: Tensor, stations: Tensor) -> Tensor:
-        """From the centreline to the left and to the right wall, at stations [B], m: [B, 2], float64, m."""
-        _, points = self._points_at(track, stations)
-        return torch.linalg.vector_norm(points[:, 1:] - points[:, :1], dim=-1)
+        """How far the walls are from the centreline, left and right: [B] and [B], m, to [B, 2], float64, m.
+
+        Measured square to the heading of `poses`, so that a car can be moved sideways by that much.
+        """
+        segment, points = self._points_at(track, stations)
+        heading = self._headings[segment].double()
+        to_left = torch.stack([-heading.sin(), heading.cos()], dim=-1)[:, None]
+        outward = points.new_tensor([1.0, -1.0])
+        return (((points[:, 1:] - points[:, :1]) * to_left).sum(-1) * outward).clamp(min=0)
 
     def next_gate(self, track: Tensor, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B] and [B], m, to [B]; one within 0.1 m lies behind."""

@@ -104,6 +104,7 @@ class Simulator:
         self.routes = Routes(self.tracks)
         self.gate_counts = self.terrain.first_gate.diff()
         self.sensor_angles = sensor.angles.to(device)
+        self._most_walls = terrain.longest_list
         self._most_gates_per_step = max(_most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
 
@@ -205,15 +206,14 @@ class Simulator:
 
     def _sideways(self, track: Tensor, stations: Tensor, offset: Tensor) -> Tensor:
         """From the centreline as far towards a wall as the offset [B] says: [B, 2], m."""
-        centre = self.routes.poses(track, stations)[:, :2].double()
-        left, right = self.routes.walls(track, stations).unbind(1)
-        way = torch.where(offset[:, None] > 0, left, right) - centre
-        width = torch.linalg.vector_norm(way, dim=1)
-        free = (width - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0)
-        return way * (offset.abs() * free / width)[:, None]
+        heading = self.routes.poses(track, stations)[:, 2]
+        left, right = (self.routes.room(track, stations) - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0).T
+        shift = torch.where(offset > 0, left, right) * offset
+        return shift[:, None] * torch.stack([-heading.sin(), heading.cos()], dim=-1)
 
     def _walls_near(self, state: State) -> Tensor:
-        return self.terrain.walls_near(state.pose[:, :2], self.terrain.level(state.track, state.next_gate))
+        level = self.terrain.level(state.track, state.next_gate)
+        return self.terrain.walls_near(state.pose[:, :2], level, self._most_walls)
 
     def _count_gates(self, begin: Tensor, end: Tensor, state: State) -> Tensor:
         """Gates crossed forward and in order on the straight ways begin-end, [B], int64."""

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
+from carrl.sim.bridges import Stretch, on_stretch
 from carrl.sim.track import Track
 from carrl.sim.wall_grid import WallGrid
 
@@ -42,26 +43,23 @@ class Plot(NamedTuple):
         Raises:
             TrackError: two roads meet at a bridge so closely that the gates do not tell which one a car is on.
         """
-        at = track.wall_stations
-        if not track.bridges:
-            one_level = torch.ones(1, len(at), dtype=torch.bool)
-            return Plot(track.walls, track.gates, one_level, torch.zeros(track.gate_count, dtype=torch.int64))
-        over = _within(at, [bridge.over for bridge in track.bridges], track.length)
-        under = _within(at, [bridge.under for bridge in track.bridges], track.length)
-        end = track.gate_stations
-        begin = end - track.length / track.gate_count
-        up = torch.zeros(track.gate_count, dtype=torch.bool)
-        down = up.clone()
+        walls, gates = track.wall_stations.numpy(), track.gate_stations.numpy()
+        above, below = np.zeros((2, len(walls)), dtype=bool)
+        heads_above, heads_below = np.zeros((2, len(gates)), dtype=bool)
         for bridge in track.bridges:
+            above |= on_stretch(walls, bridge.over, track.length)
+            below |= on_stretch(walls, bridge.under, track.length)
             # Twice the reach, for a car may look across the inside of a bend.
-            up |= _overlap(begin, end, (bridge.over[0] - 2 * reach, bridge.over[1] + 2 * reach), track.length)
-            down |= _overlap(begin, end, bridge.under, track.length)
-        if (up & down).any():
+            in_sight = bridge.over[0] - 2 * reach, bridge.over[1] + 2 * reach
+            heads_above |= _leads_onto(gates, in_sight, track.length)
+            heads_below |= _leads_onto(gates, bridge.under, track.length)
+        if (heads_above & heads_below).any():
             raise TrackError(
                 f"track '{track.name}': the roads at a bridge are so close along the track that the gates do not tell "
                 "them apart; use a smaller gate_spacing, or a smaller sensor range"
             )
-        return Plot(track.walls, track.gates, torch.stack([~over, ~under]), up.long())
+        visible = np.stack([~above, ~below] if track.bridges else [~above])
+        return Plot(track.walls, track.gates, torch.from_numpy(visible), torch.from_numpy(heads_above.astype(np.int64)))
 
 
 class Terrain(NamedTuple):
@@ -130,18 +128,24 @@ class Terrain(NamedTuple):
         return sum(tensor.nbytes for tensor in self)
 
     @property
-    def gate_counts(self) -> Tensor:
-        """Gates of each track, [T], int64."""
-        return self.first_gate.diff()
+    def longest_list(self) -> int:
+        """Entries of the list that has most."""
+        return int((self.lists[:, 2] - self.lists[:, 0]).max())
 
     def level(self, track: Tensor, next_gate: Tensor) -> Tensor:
         """The level of cars by their track [B] and the gate that they head for [B]: [B], int64."""
         return self.level_of_gate[self.first_gate[track] + next_gate]
 
-    def walls_near(self, position: Tensor, level: Tensor) -> Tensor:
-        """All the walls within reach of each position [B, 2] on its level [B], and some others: [B, W, 2, 2], m.
+    def walls_near(self, position: Tensor, level: Tensor, most: int) -> Tensor:
+        """All the walls within reach of each position, and some others.
 
-        W is the length of the longest list; what lacks is filled up with a wall out of reach.
+        Args:
+            position: [B, 2], m.
+            level: of each car, [B], int64.
+            most: how many walls to list for each, filled up with one out of reach: `longest_list`.
+
+        Returns:
+            [B, most, 2, 2], m.
         """
         corner, shape = self.corners[level], self.shapes[level]
         cell = ((position.double() - corner[:, :2]) / corner[:, 2:]).floor().nan_to_num(-1)
@@ -149,8 +153,7 @@ class Terrain(NamedTuple):
         column, row = torch.where(is_inside[:, None], cell, 0).long().unbind(1)
         list_ = torch.where(is_inside, self.list_of_cell[shape[:, 2] + row * shape[:, 0] + column], 0)
         begin, _, end = self.lists[list_].long().unbind(1)
-        longest = int((self.lists[:, 2] - self.lists[:, 0]).max())
-        entry = begin[:, None] + torch.arange(longest, device=begin.device)
+        entry = begin[:, None] + torch.arange(most, device=begin.device)
         is_listed = entry < end[:, None]
         wall = torch.where(is_listed, self.entries[torch.where(is_listed, entry, 0)], 0)
         return self.walls[wall].unflatten(-1, (2, 2))
@@ -172,12 +175,7 @@ _BEFORE_ALL: dict[str, np.ndarray] = {
 """What `Terrain` begins with: a wall that fills lists up to equal length, and the list of places where none is near."""
 
 
-def _within(stations: Tensor, stretches: Sequence[tuple[float, float]], length: float) -> Tensor:
-    """Whether each station, [S], lies on any of the stretches of a lap: [S]."""
-    return torch.stack([(stations - begin) % length <= end - begin for begin, end in stretches]).any(dim=0)
-
-
-def _overlap(begin: Tensor, end: Tensor, stretch: tuple[float, float], length: float) -> Tensor:
-    """Whether each of the intervals of a lap, [G] and [G], and the stretch have a place in common: [G]."""
-    starts_in = (begin - stretch[0]) % length <= stretch[1] - stretch[0]
-    return starts_in | ((stretch[0] - begin) % length <= end - begin)
+def _leads_onto(gates: np.ndarray, stretch: Stretch, length: float) -> np.ndarray:
+    """Whether the way to each gate, stations [G], from the one before has a place in common with the stretch: [G]."""
+    gap = length / len(gates)
+    return on_stretch(gates - gap, stretch, length) | ((stretch[0] - gates + gap) % length <= gap)

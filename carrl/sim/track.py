@@ -23,13 +23,11 @@ from carrl.sim.csv_file import read_csv
 from carrl.sim.drawing_file import MIN_GATE_SPACING, read_drawing
 from carrl.sim.folds import cut_folds
 from carrl.sim.random_track import CORNER_RADIUS, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
+from carrl.sim.routes import Routes
 from carrl.sim.waypoint_file import read_waypoints
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
-_AT_GATE = 0.1
-"""A start this close before a gate, m, lies behind it: where the widths change, the gate's straight line between the
-walls meets the centreline some centimetres off its station (4 cm on the Moscow Raceway)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,68 +200,38 @@ class Track:
     @cached_property
     def wall_stations(self) -> Tensor:
         """Station of the middle of the centreline's segment that each of `walls` stands beside, [S], float64, m."""
-        middles = (self._stations[:-1] + self._stations[1:]) / 2
-        return middles.repeat(2)[self._has_length]
+        return self._route.segment_middles.repeat(2)[self._has_length]
 
     @cached_property
     def gates(self) -> Tensor:
         """The gates in driving order as (left end, right end), [G, 2, 2], float32, m."""
-        ends = [self._interpolate(side, self.gate_stations) for side in (self.left_wall, self.right_wall)]
-        return torch.stack(ends, dim=1).float()
+        return self._route.walls(self._only(self.gate_stations), self.gate_stations).float()
 
     @cached_property
     def gate_stations(self) -> Tensor:
         """Where the gates stand along the centreline, increasing, the last at `length`, [G], float64, m."""
-        return torch.arange(1, self.gate_count + 1, dtype=torch.float64) * self.length / self.gate_count
+        return self._route.gates_of(0)
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length of the centreline, m."""
-        return self._stations[-1].item()
+        return self._route.lengths[0].item()
 
     def pose_at(self, stations: Tensor) -> Tensor:
         """Poses on the centreline, in the driving direction: stations [B], m, to [B, 3], float32, m, m, rad."""
-        segment = self._segment_at(stations)
-        direction = (self.centreline.roll(-1, 0) - self.centreline)[segment]
-        heading = torch.atan2(direction[:, 1], direction[:, 0])
-        position = self._interpolate(self.centreline, stations)
-        return torch.cat([position.float(), heading[:, None]], dim=-1)
+        return self._route.poses(self._only(stations), stations)
 
     def room_at(self, stations: Tensor) -> Tensor:
-        """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m.
-
-        Measured square to `pose_at`'s heading, so that a car can be moved sideways by that much.
-        """
-        heading = self.pose_at(stations)[:, 2].double()
-        to_left = torch.stack([-heading.sin(), heading.cos()], dim=-1)
-        middle = self._interpolate(self.centreline, stations)
-        left = ((self._interpolate(self.left_wall, stations) - middle) * to_left).sum(-1)
-        right = ((middle - self._interpolate(self.right_wall, stations)) * to_left).sum(-1)
-        return torch.stack([left, right], dim=-1).clamp(min=0)
+        """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
+        return self._route.room(self._only(stations), stations)
 
     def next_gate(self, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
-        ahead = torch.searchsorted(self.gate_stations, stations.double() % self.length + _AT_GATE)
-        return ahead % self.gate_count
+        return self._route.next_gate(self._only(stations), stations)
 
     def station_near(self, position: Tensor, low: Tensor, high: Tensor) -> Tensor:
-        """The station of the centreline point nearest to each position, searched between two stations only.
-
-        The road may come close to itself, so the nearest point of the whole centreline can be on another stretch.
-
-        Args:
-            position: [B, 2], m.
-            low: where to begin to search, [B], m.
-            high: where to end, [B], m, at least `low`; may exceed `length` by up to a lap.
-
-        Returns:
-            [B], float64, m, between `low` and `high`.
-        """
-        samples = torch.linspace(0, 1, 257, dtype=torch.float64)
-        stations = low.double()[:, None] + (high - low).double()[:, None] * samples
-        points = self._interpolate(self.centreline, stations.flatten()).view(*stations.shape, 2)
-        nearest = torch.linalg.vector_norm(points - position.double()[:, None], dim=-1).argmin(dim=1)
-        return stations.gather(1, nearest[:, None])[:, 0]
+        """The nearest station to each position [B, 2], m, between two others: see `Routes.nearest_stations`."""
+        return self._route.nearest_stations(self._only(low), position, low, high)
 
     def as_dict(self) -> dict[str, Any]:
         """The geometry as plain values in metres, ready for JSON."""
@@ -287,22 +255,13 @@ class Track:
         return (self._wall_segments[:, 0] != self._wall_segments[:, 1]).any(dim=1)
 
     @cached_property
-    def _stations(self) -> Tensor:
-        """Stations of the centreline's points and, at the end, the length: [P + 1], float64."""
-        steps = torch.linalg.vector_norm((self.centreline.roll(-1, 0) - self.centreline).double(), dim=1)
-        return torch.cat([steps.new_zeros(1), steps.cumsum(0)])
+    def _route(self) -> Routes:
+        return Routes([self])
 
-    def _segment_at(self, stations: Tensor) -> Tensor:
-        after = torch.searchsorted(self._stations, stations.double() % self.length, right=True)
-        return (after - 1).clamp(0, len(self.centreline) - 1)
-
-    def _interpolate(self, points: Tensor, stations: Tensor) -> Tensor:
-        """The points [P, 2] of a side or the centreline, at stations [B]: [B, 2], float64."""
-        segment = self._segment_at(stations)
-        begin, end = self._stations[segment], self._stations[segment + 1]
-        share = ((stations.double() % self.length - begin) / (end - begin))[:, None]
-        points = points.double()
-        return points[segment] + share * (points.roll(-1, 0) - points)[segment]
+    @staticmethod
+    def _only(stations: Tensor) -> Tensor:
+        """Which track each station is on."""
+        return torch.zeros(len(stations), dtype=torch.int64)
 
 
 def builtin_names() -> list[str]:

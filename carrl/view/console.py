@@ -15,6 +15,9 @@ from rich.text import Text
 from carrl.run.agent_run import RECENT_EPISODES
 from carrl.run.trainer import Trainer
 
+FILE_WIDTH = 160
+"""Columns of a table that does not go to a terminal, whose width is unknown."""
+
 
 class TrainingDisplay:
     """A live progress bar with figures below it; use it in a `with` statement and call it after every round."""
@@ -136,4 +139,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
         table.add_column(name, justify="left" if index == 0 else "right", no_wrap=index == 0)
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    console = Console()
+    if not console.is_terminal:
+        console.width = FILE_WIDTH
+    console.print(table)

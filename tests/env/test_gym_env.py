@@ -1,5 +1,7 @@
 """The driving task as Gymnasium sees it."""
 
+import inspect
+
 import gymnasium
 import numpy as np
 import pytest
@@ -8,13 +10,26 @@ from gymnasium.utils.env_checker import check_env
 
 import carrl
 from carrl.env.reward import TERMS
+from carrl.env.task import Task
 from carrl.errors import ConfigError
 
 
-@pytest.mark.parametrize("random_start", [False, True])
-def test_gymnasiums_checker_passes(random_start):
-    env = gymnasium.make("carrl/Track-v0", track="oval", random_start=random_start)
-    check_env(env.unwrapped, skip_render_check=True)
+@pytest.fixture
+def _no_display(monkeypatch):
+    """Windows open on nothing."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+@pytest.mark.usefixtures("_no_display")
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"render_mode": "rgb_array"}, {"render_mode": "human"}, {"random_start": True}, {"observe_action": True}],
+)
+def test_gymnasiums_checker_passes(options):
+    pytest.importorskip("pygame", reason="the checker draws in every mode; pip install 'carrl[render]'")
+    env = gymnasium.make("carrl/Track-v0", track="oval", **options)
+    check_env(env.unwrapped)
+    env.close()
 
 
 def test_it_is_the_same_task_as_the_torchrl_environment():
@@ -48,11 +63,53 @@ def test_random_starts_follow_the_seed():
     assert (first != other).any()
 
 
+def test_what_was_handed_out_neither_changes_later_nor_changes_what_follows():
+    env, twin = (gymnasium.make("carrl/Track-v0").unwrapped for _ in range(2))
+    view, info = env.reset()
+    twin.reset()
+    kept = view.copy(), info["pose"].copy()
+    env.step(1)
+    twin.step(1)
+    np.testing.assert_array_equal(view, kept[0])
+    np.testing.assert_array_equal(info["pose"], kept[1])
+    view[:], info["pose"][:] = 0, 0
+    np.testing.assert_array_equal(env.step(0)[0], twin.step(0)[0])
+    np.testing.assert_array_equal(env.reset()[0], kept[0])
+
+
 def test_stepping_before_a_reset_is_refused():
     with pytest.raises(gymnasium.error.ResetNeeded):
         gymnasium.make("carrl/Track-v0").unwrapped.step(0)
 
 
-def test_a_render_mode_is_refused():
-    with pytest.raises(ConfigError, match="does not draw"):
-        carrl.GymTrackEnv(render_mode="human")
+def test_an_action_that_does_not_exist_is_refused():
+    env = gymnasium.make("carrl/Track-v0").unwrapped
+    env.reset()
+    for action in (-1, 3):
+        with pytest.raises(gymnasium.error.InvalidAction, match="0 forward, 1 left or 2 right"):
+            env.step(action)
+
+
+def test_a_misspelt_option_is_answered_with_all_that_there_are():
+    with pytest.raises(ConfigError, match="there is no option 'random_strat'") as refusal:
+        gymnasium.make("carrl/Track-v0", random_strat=True)
+    names = {"track", "render_mode", "max_episode_steps", *inspect.signature(Task).parameters}
+    names -= {"max_steps", "num_envs", "seeds", "device"}
+    assert set(str(refusal.value).split("choose from ")[1].split(", ")) == names
+
+
+def test_max_steps_is_refused_in_favour_of_gymnasiums_own_name():
+    with pytest.raises(ConfigError, match=r"no option 'max_steps'.*max_episode_steps"):
+        gymnasium.make("carrl/Track-v0", max_steps=5)
+
+
+def test_an_unknown_render_mode_is_refused():
+    with pytest.raises(ConfigError, match="render_mode is 'ansi'; choose one of human, rgb_array"):
+        carrl.GymTrackEnv(render_mode="ansi")
+
+
+def test_rendering_without_a_render_mode_is_refused():
+    env = carrl.GymTrackEnv()
+    env.reset()
+    with pytest.raises(ConfigError, match="there is no render_mode"):
+        env.render()

@@ -187,3 +187,127 @@ def test_cars_of_several_seeds_drive_as_they_would_alone():
         alone = TrackEnv(num_envs=2, seed=seed, random_start=True).rollout(150, break_when_any_done=False)
         assert (together[2 * index : 2 * index + 2] == alone).all()
         assert alone["next", "done"].any()
+
+
+# Many tracks
+
+
+def test_cars_take_the_tracks_in_turn():
+    env = TrackEnv(track=["oval", Track.random(3), "serpentine"], num_envs=7)
+    check_env_specs(env)
+    assert [track.name for track in env.tracks] == ["oval", "random-3", "serpentine"]
+    state = env.reset()
+    assert state["track"].tolist() == [0, 1, 2, 0, 1, 2, 0]
+    for index, track in enumerate(env.tracks):
+        torch.testing.assert_close(state["pose"][index], track.pose_at(torch.zeros(1))[0])
+
+
+def test_cars_on_different_tracks_drive_as_alone_on_theirs():
+    together = TrackEnv(track=["oval", "serpentine"], num_envs=2)
+    state, plan = together.reset(), [0, 1, 0, 2, 0, 0, 1, 1] * 10
+    observations = []
+    for action in plan:
+        transition, state = together.step_and_maybe_reset(state.set("action", torch.full((2,), action)))
+        observations.append(transition["next", "observation"])
+    for index, name in enumerate(("oval", "serpentine")):
+        alone = torch.stack([after["observation"][0] for after in drive(TrackEnv(track=name), plan)])
+        torch.testing.assert_close(torch.stack(observations)[:, index], alone)
+
+
+def test_a_sampled_track_changes_from_episode_to_episode_and_follows_the_seed():
+    def tracks(seed: int) -> torch.Tensor:
+        env = TrackEnv(["oval", "paper", "serpentine"], num_envs=4, seed=seed, sample_track=True, max_steps=3)
+        return env.rollout(60, break_when_any_done=False)["track"]
+
+    assert torch.equal(tracks(1), tracks(1))
+    assert not torch.equal(tracks(1), tracks(2))
+    counts = tracks(1)[:, ::3].flatten().bincount(minlength=3)
+    assert (counts > 10).all()
+
+
+def test_mirrored_and_reversed_episodes_are_drawn_by_chance():
+    env = TrackEnv("paper", num_envs=400, seed=0, mirrored=True, reversed=True)
+    check_env_specs(env)
+    names = ["paper", "paper-mirrored", "paper-reversed", "paper-mirrored-reversed"]
+    assert [track.name for track in env.tracks] == names
+    state = env.reset()
+    counts = state["track"].bincount(minlength=4)
+    assert counts.min() > 70 and counts.sum() == 400
+    plain, mirrored = (state["observation"][state["track"] == index][0] for index in (0, 1))
+    torch.testing.assert_close(plain.flip(0), mirrored)
+
+
+def test_starts_vary_beside_the_centreline_and_in_heading():
+    env = TrackEnv("oval", num_envs=300, seed=0, start_offset=1.0, heading_jitter=20.0)
+    check_env_specs(env)
+    pose = env.reset()["pose"]
+    assert pose[:, 0].std() < 1e-3  # all on the start line, which runs along y
+    assert -4.25 <= pose[:, 1].min() < -4 and 4 < pose[:, 1].max() <= 4.25
+    degrees = pose[:, 2] * 180 / torch.pi
+    assert -20 <= degrees.min() < -18 and 18 < degrees.max() <= 20
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("start_offset", 1.5), ("start_offset", -0.1), ("heading_jitter", 200.0)]
+)
+def test_a_start_that_cannot_be_is_refused(option, value):
+    with pytest.raises(ConfigError, match=rf"env\.{option} is {value}; it must be "):
+        TrackEnv(**{option: value})
+
+
+# Sensors that err
+
+
+def test_noise_spreads_the_readings_about_the_truth_and_follows_the_seed():
+    def readings(seed: int, noise: float) -> torch.Tensor:
+        env = TrackEnv("oval", num_envs=4000, seed=seed, sensor=Sensor(max_range=30.0, noise=noise))
+        return env.reset()["observation"]
+
+    truth, noisy = readings(0, 0.0), readings(0, 0.6)
+    inside = (truth > 0.1) & (truth < 0.9)
+    errors = ((noisy - truth) * 30.0)[inside]
+    assert errors.mean().abs() < 0.02
+    assert errors.std() == pytest.approx(0.6, abs=0.02)
+    assert torch.equal(noisy, readings(0, 0.6))
+    assert not torch.equal(noisy, readings(1, 0.6))
+    assert noisy.min() >= 0 and noisy.max() <= 1
+
+
+def test_a_ray_that_drops_out_reads_the_full_range():
+    env = TrackEnv("oval", num_envs=4000, seed=0, sensor=Sensor(max_range=30.0, dropout=0.25))
+    truth = TrackEnv("oval", num_envs=1, sensor=Sensor(max_range=30.0)).reset()["observation"]
+    readings = env.reset()["observation"]
+    lost = readings[:, 0] == 1
+    assert lost.float().mean() == pytest.approx(0.25, abs=0.03)
+    torch.testing.assert_close(readings[~lost][:, 0], truth[0, 0].expand(int((~lost).sum())))
+
+
+def test_the_reward_counts_true_distances_whatever_the_sensor_reads():
+    blind, seeing = (TrackEnv("oval", seed=0, sensor=Sensor(dropout=dropout)) for dropout in (1.0, 0.0))
+    plan = [1] * 8
+    for one, other in zip(drive(blind, plan), drive(seeing, plan), strict=True):
+        assert (one["observation"] == 1).all()
+        assert torch.equal(one["reward_terms"], other["reward_terms"])
+
+
+def test_agents_with_noisy_sensors_fare_as_they_would_alone():
+    options = {"num_envs": 2, "random_start": True, "sensor": Sensor(noise=0.3, dropout=0.1), "heading_jitter": 5.0}
+    together = TrackEnv(seed=[5, 6], **options).rollout(150, break_when_any_done=False)
+    for index, seed in enumerate((5, 6)):
+        alone = TrackEnv(seed=seed, **options).rollout(150, break_when_any_done=False)
+        assert (together[2 * index : 2 * index + 2] == alone).all()
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+@pytest.mark.parametrize("track", ["paper", ["oval", "serpentine"]])
+def test_a_cuda_device_gives_the_same_rollouts_as_the_cpu(track):
+    rollouts = []
+    for device in ("cpu", "cuda"):
+        env = TrackEnv(track, num_envs=64, device=device, seed=0, random_start=True)
+        rollouts.append(env.rollout(50, break_when_any_done=False).cpu())
+    on_cpu, on_cuda = rollouts
+    together = (on_cpu["next", "done"] == on_cuda["next", "done"]).all()
+    assert together
+    for key in ("observation", "pose", ("next", "reward")):
+        torch.testing.assert_close(on_cpu[key], on_cuda[key], atol=1e-3, rtol=0)

@@ -38,6 +38,7 @@ def transitions() -> Callable[..., TensorDict]:
                 "action_value": noise(3),
                 "epsilon": noise(),
                 "exploratory": noise() > 0,
+                "track": torch.arange(count) % 2,
                 "next": TensorDict(following, [count]),
             },
             [count],

@@ -22,7 +22,7 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Outcome, Simulator, State
 from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.track import Track, builtin_names
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Action, Bicycle, Vehicle, VehicleModel
 from tests.sim.shapes import random_poses, random_track
 
 exactly = settings(derandomize=True, deadline=None, max_examples=60)
@@ -36,7 +36,7 @@ def track_of(name: str | int) -> Track:
     return random_track(name) if isinstance(name, int) else Track.load(name)
 
 
-def both(track: Track, vehicle: Vehicle | None = None, sensor: Sensor | None = None) -> tuple[Simulator, Simulator]:
+def both(track: Track, vehicle: VehicleModel | None = None, sensor: Sensor | None = None) -> tuple[Simulator, Simulator]:
     """The compiled simulator and the plain one."""
     options = track, vehicle or Vehicle(), sensor or Sensor()
     return Simulator(*options), Simulator(*options, compiled=False)
@@ -101,6 +101,15 @@ def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     assert torch.equal(ours.state.next_gate[decided], theirs.state.next_gate[decided])
     assert torch.equal(ours.state.gates_passed[decided], theirs.state.gates_passed[decided])
     torch.testing.assert_close(ours.ranges, plain.sense(ours.state), atol=1e-5, rtol=0)
+
+
+def test_a_bicycle_steps_as_in_torch():
+    compiled, plain = both(Track.load("paper"), Bicycle())
+    state, action = random_cars(plain, 2000, seed=1)
+    ours, theirs = compiled.step(state, action), plain.step(state, action)
+    torch.testing.assert_close(ours.state.pose, theirs.state.pose, atol=1e-5, rtol=0)
+    assert torch.equal(ours.collided, theirs.collided)
+    assert torch.equal(ours.gates_passed, theirs.gates_passed)
 
 
 @pytest.mark.parametrize("sensor", [Sensor(), Sensor(rays=1, max_range=300.0), Sensor(rays=40, field_of_view=359.0)])

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carrl.errors import ConfigError
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Action, Bicycle, Vehicle, VehicleModel
 
 
-def drive(vehicle: Vehicle, pose: tuple[float, float, float], *actions: Action) -> list[float]:
+def drive(vehicle: VehicleModel, pose: tuple[float, float, float], *actions: Action) -> list[float]:
     state = torch.tensor([pose], dtype=torch.float64)
     for action in actions:
         state = vehicle.move(state, torch.tensor([action]))
@@ -99,3 +99,51 @@ def test_moving_leaves_the_given_pose_as_it_was():
 def test_a_parameter_that_is_no_positive_number_is_refused_by_name_and_value(parameter: str, value: object):
     with pytest.raises(ConfigError, match=rf"^vehicle\.{parameter} is {value}; it must be a positive number$"):
         Vehicle(**{parameter: value})
+
+
+# The bicycle
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("speed", "steering_angle"), [(10.0, 8.0), (3.0, 30.0), (40.0, 60.0)])
+def test_a_turning_bicycle_drives_the_circle_of_its_closed_form(speed: float, steering_angle: float, side: int):
+    """Every pose lies on the circle about the point that both wheels' axes meet in."""
+    car = Bicycle(speed=speed, wheelbase=2.0, steering_angle=steering_angle)
+    rear_to_centre = car.wheelbase / math.tan(math.radians(steering_angle))
+    heading = 0.4
+    # The centre lies beside the rear axle, half a wheelbase behind the car's middle.
+    x = -1.0 * math.cos(heading) - side * rear_to_centre * math.sin(heading)
+    y = -1.0 * math.sin(heading) + side * rear_to_centre * math.cos(heading)
+    radius = math.hypot(rear_to_centre, 1.0)
+    assert car.turn_radius == pytest.approx(radius)
+    action = Action.LEFT if side > 0 else Action.RIGHT
+    for steps in range(60):
+        at_x, at_y, after = drive(car, (0.0, 0.0, heading), *[action] * steps)
+        angle = side * steps * car.step_length / radius
+        begin = math.atan2(-y, -x)
+        expected = [x + radius * math.cos(begin + angle), y + radius * math.sin(begin + angle)]
+        assert [at_x, at_y] == pytest.approx(expected, abs=1e-9)
+        assert math.cos(after - heading - angle) == pytest.approx(1.0)
+
+
+def test_a_bicycle_that_does_not_steer_drives_straight_on():
+    assert drive(Bicycle(speed=20.0), (1.0, 2.0, math.atan2(3, 4)), Action.FORWARD) == pytest.approx(
+        [2.6, 3.2, math.atan2(3, 4)]
+    )
+
+
+def test_a_bicycle_moves_alike_in_short_and_in_long_steps():
+    coarse = drive(Bicycle(time_step=0.4), (0.0, 0.0, 0.0), Action.LEFT)
+    assert drive(Bicycle(time_step=0.1), (0.0, 0.0, 0.0), *[Action.LEFT] * 4) == pytest.approx(coarse)
+
+
+@pytest.mark.parametrize("parameter", ["speed", "time_step", "wheelbase", "steering_angle", "body_radius"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, "fast"])
+def test_a_bicycle_that_cannot_be_built_is_refused(parameter: str, value: object):
+    with pytest.raises(ConfigError, match=rf"^vehicle\.{parameter} is {value}; it must be a positive number$"):
+        Bicycle(**{parameter: value})
+
+
+def test_a_wheel_turned_by_more_than_a_right_angle_is_refused():
+    with pytest.raises(ConfigError, match=r"vehicle\.steering_angle is 90; it must be less than 90 degrees"):
+        Bicycle(steering_angle=90)

@@ -1,0 +1,178 @@
+"""`carrl drive`: the driving task for a person at the keyboard."""
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from carrl.env.gym_env import GymTrackEnv, make_follow_picture
+from carrl.errors import ConfigError
+from carrl.run.build import build_world
+from carrl.run.folder import load_config
+from carrl.sim.vehicle import Action
+
+if TYPE_CHECKING:
+    import pygame
+
+SIZE = (960, 720)
+"""Of the window, px."""
+HELP = (
+    "drive",
+    "left, A\tturn left",
+    "right, D\tturn right",
+    "no key\tstraight on",
+    "R\tback to the start",
+    "P, space\tpause",
+    "H\tthis help",
+    "Esc, Q\tquit",
+    "steer, or press the up arrow, to start",
+)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """How far one episode came.
+
+    Attributes:
+        steps: driven.
+        gates: passed.
+        laps: completed.
+        reward: sum over the steps.
+        collided: whether it ended at a wall.
+    """
+
+    steps: int
+    gates: int
+    laps: int
+    reward: float
+    collided: bool
+
+    def __str__(self) -> str:
+        """One line for the terminal."""
+        end = "hit a wall" if self.collided else "stopped"
+        return f"{self.steps} steps, {self.gates} gates, {self.laps} laps, reward {self.reward:,.0f}, {end}"
+
+
+class Game:
+    """A window in which a person drives one car; it waits for a first key.
+
+    Args:
+        env: whose car it is.
+        fps: time steps a second.
+
+    Raises:
+        ConfigError: there is no display, or no pygame.
+    """
+
+    def __init__(self, env: GymTrackEnv, fps: float) -> None:
+        """Opens the window."""
+        self._picture = make_follow_picture(env.task, SIZE)
+        from carrl.env.rendering import Window
+
+        self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}")
+        self._env, self._fps = env, fps
+        self._attempts: list[Attempt] = []
+        self._held: list[Action] = []
+        self._tapped: Action | None = None
+        self._runs, self._shows_help, self._paused = True, True, False
+        env.reset()
+
+    def play(self) -> list[Attempt]:
+        """Drives until the person quits; returns all attempts of at least one step."""
+        import pygame
+
+        while self._runs:
+            self._window.show(self._picture.draw(self._env.scene(), self._message()), self._fps)
+            for event in pygame.event.get():
+                self._take(event)
+            if self._runs and not (self._shows_help or self._paused or self._env.scene().collided):
+                self._env.step(self._next_action())
+        self._note_attempt()
+        self._window.close()
+        return self._attempts
+
+    def _take(self, event: "pygame.event.Event") -> None:
+        """Does what a key asks for."""
+        import pygame
+
+        steering = {
+            pygame.K_UP: Action.FORWARD,
+            pygame.K_LEFT: Action.LEFT,
+            pygame.K_a: Action.LEFT,
+            pygame.K_RIGHT: Action.RIGHT,
+            pygame.K_d: Action.RIGHT,
+        }
+        if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key in (pygame.K_ESCAPE, pygame.K_q)):
+            self._runs = False
+        elif event.type == pygame.KEYUP and event.key in steering:
+            self._held = [action for action in self._held if action != steering[event.key]]
+        elif event.type == pygame.KEYDOWN and event.key in steering:
+            self._shows_help = self._paused = False
+            self._tapped = steering[event.key]
+            self._held.append(self._tapped)
+        elif event.type == pygame.KEYDOWN and event.key == pygame.K_h:
+            self._shows_help = not self._shows_help
+        elif event.type == pygame.KEYDOWN and event.key in (pygame.K_p, pygame.K_SPACE):
+            self._paused, self._shows_help = not (self._paused or self._shows_help), False
+        elif event.type == pygame.KEYDOWN and event.key == pygame.K_r:
+            self._note_attempt()
+            self._env.reset()
+            self._shows_help = self._paused = False
+
+    def _next_action(self) -> Any:
+        """The key pressed last of those still held; a key that was only tapped counts for one step."""
+        action = self._held[-1] if self._held else self._tapped
+        self._tapped = None
+        return Action.FORWARD if action is None else action
+
+    def _message(self) -> tuple[str, ...]:
+        """What stands across the picture."""
+        if self._shows_help:
+            return HELP
+        if self._env.scene().collided:
+            return ("hit a wall", "R\tback to the start", "Esc\tquit")
+        return ("pause", "P\tgo on", "H\thelp") if self._paused else ()
+
+    def _note_attempt(self) -> None:
+        scene, gates = self._env.scene(), self._env.task.simulator.track.gate_count
+        if scene.step:
+            laps = scene.gates_passed // gates
+            self._attempts.append(Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided))
+
+
+def main(argv: list[str]) -> int:
+    """Lets a person drive and prints what came of it."""
+    arguments = _parser().parse_args(argv)
+    torch.set_num_threads(1)
+    env = _make_env(arguments)
+    vehicle = env.task.simulator.vehicle
+    fps = 1 / vehicle.time_step if arguments.fps is None else arguments.fps
+    if not (math.isfinite(fps) and fps > 0):
+        raise ConfigError(f"--fps is {fps}; it must be a positive number of time steps a second")
+    for number, attempt in enumerate(Game(env, fps).play(), start=1):
+        print(f"attempt {number}: {attempt}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="carrl drive", description="Drive a track yourself; H shows the keys.")
+    parser.add_argument("--track", metavar="NAME|FILE", help="default: the run's, or without a run paper")
+    parser.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
+    parser.add_argument("--fps", type=float, metavar="F", help="time steps a second; default: real time")
+    return parser
+
+
+def _make_env(arguments: argparse.Namespace) -> GymTrackEnv:
+    if arguments.run is None:
+        return GymTrackEnv(arguments.track or "paper", render_mode="rgb_array")
+    world = build_world(load_config(Path(arguments.run)))
+    return GymTrackEnv(
+        arguments.track or world.track,
+        render_mode="rgb_array",
+        vehicle=world.vehicle,
+        sensor=world.sensor,
+        reward=world.reward,
+    )
