@@ -3,7 +3,7 @@
 Shapes: `N` cars, `K` of them, `R` rays.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode
-from carrl.env.random_streams import RandomStreams
+from carrl.env.random_streams import CarStreams
 from carrl.env.reward import TERMS
 from carrl.env.task import Situation, Task, Tracks, Transition
 from carrl.errors import ConfigError
-from carrl.sim.simulator import State
 from carrl.sim.vehicle import Action, Vehicle
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         check_options(options, ("num_envs", "max_episode_steps", "autoreset_mode"))
         check_render_mode(render_mode)
         self.task = Task(track, num_envs, max_steps=max_episode_steps, **options)
-        self.task.streams = _CarStreams(num_envs)
+        self.task.streams = CarStreams(num_envs)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, _autoreset_mode(autoreset_mode)
         fps = 1 / self.task.simulator.vehicle.time_step
         self.metadata = self.metadata | {"render_fps": fps, "autoreset_mode": self.autoreset_mode}
@@ -108,7 +107,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seeds = self._seeds(seed)
         if isinstance(seed, int):
             super().reset(seed=seed)
-        self._streams.seed_each(seeds, wanted)
+        self._streams.seed_each(seeds, torch.from_numpy(wanted))
         self._now = now = self._put(self._now, wanted)
         self._ended = self._ended & ~wanted
         if self.render_mode == "human":
@@ -168,8 +167,8 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._window = None
 
     @property
-    def _streams(self) -> "_CarStreams":
-        assert isinstance(self.task.streams, _CarStreams)
+    def _streams(self) -> CarStreams:
+        assert isinstance(self.task.streams, CarStreams)
         return self.task.streams
 
     def _end_in_next_step(self, after: Transition, resetting: Bools) -> Step:
@@ -179,8 +178,8 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         driven = ~resetting
         if resetting.any():
             assert self._now is not None
-            now = _merge(now, _take(self._now, resetting), resetting)
-            keep = torch.from_numpy(driven)
+            keep, reset = torch.from_numpy(driven), torch.from_numpy(resetting)
+            now = now.replacing(reset, self._now.only(reset))
             terms, terminated, truncated = terms * keep[:, None], terminated & keep, truncated & keep
         self._now = now
         ends = terminated.numpy(), truncated.numpy()
@@ -211,9 +210,9 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _put(self, now: Situation | None, wanted: Bools) -> Situation:
         """The wanted cars [N] at the start of new episodes."""
-        first = self._first_start
-        start = _take(first, wanted) if first else self.task.start(torch.from_numpy(wanted))
-        return start if now is None or wanted.all() else _merge(now, start, wanted)
+        cars, first = torch.from_numpy(wanted), self._first_start
+        start = first.only(cars) if first else self.task.start(cars)
+        return start if now is None or wanted.all() else now.replacing(cars, start)
 
     def _places(self, now: Situation) -> dict[str, np.ndarray]:
         """Where the cars are and how far they came."""
@@ -249,65 +248,12 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return mask.copy()
 
 
-class _CarStreams(RandomStreams):
-    """A stream for each car, as N copies of the environment would have, drawn from for the wanted cars alone."""
-
-    def __init__(self, cars: int) -> None:
-        """Makes a fresh generator for each car."""
-        super().__init__([None] * cars, share=1)
-
-    def seed_each(self, seeds: Sequence[int | None], wanted: Bools) -> None:
-        """Begins anew for the wanted cars [N] with their seeds, if they have one."""
-        for car in wanted.nonzero()[0].tolist():
-            seed = seeds[car]
-            if seed is not None:
-                self._generators[car].manual_seed(seed)
-
-    def uniform(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
-        """Numbers from 0 to 1, [N, *columns], float64; zero for cars that are not wanted, [N]."""
-        return self._fill(torch.rand, columns, wanted)
-
-    def normal(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
-        """Numbers of mean 0 and standard deviation 1, [N, *columns], float64; zero as in `uniform`."""
-        return self._fill(torch.randn, columns, wanted)
-
-    def _fill(self, draw: Callable[..., Tensor], columns: tuple[int, ...], wanted: Tensor | None) -> Tensor:
-        """Far quicker than to ask for each car whether it is wanted."""
-        numbers = torch.zeros(len(self._generators), *columns, dtype=torch.float64)
-        cars = torch.arange(len(numbers)) if wanted is None else wanted.nonzero()[:, 0]
-        own = [draw((1, *columns), dtype=torch.float64, generator=self._generators[car]) for car in cars.tolist()]
-        return numbers.index_copy_(0, cars, torch.cat(own)) if own else numbers
-
-
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     try:
         return AutoresetMode(mode)
     except ValueError as error:
         names = ", ".join(each.value for each in AutoresetMode)
         raise ConfigError(f"autoreset_mode is {mode!r}; choose one of {names}") from error
-
-
-def _fields(situation: Situation) -> tuple[Tensor, ...]:
-    """Its tensors, [N, ...] each."""
-    return (*situation.state, *situation[1:])
-
-
-def _situation(fields: Sequence[Tensor]) -> Situation:
-    state = len(State._fields)
-    return Situation(State(*fields[:state]), *fields[state:])
-
-
-def _merge(now: Situation, some: Situation, places: Bools) -> Situation:
-    """`now` with K cars replaced, those at the true places [N]."""
-    index = torch.from_numpy(places.nonzero()[0])
-    pairs = zip(_fields(now), _fields(some), strict=True)
-    return _situation([every.index_copy(0, index, own) for every, own in pairs])
-
-
-def _take(now: Situation, places: Bools) -> Situation:
-    """The K cars at the true places [N]."""
-    index = torch.from_numpy(places.nonzero()[0])
-    return _situation([every[index] for every in _fields(now)])
 
 
 def _by_name(terms: Tensor) -> dict[str, np.ndarray]:

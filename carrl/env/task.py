@@ -39,6 +39,17 @@ class Situation(NamedTuple):
     last_action: Tensor
     observation: Tensor
 
+    def only(self, wanted: Tensor) -> "Situation":
+        """That of the `wanted` cars alone, [N] bool with K of them true."""
+        index = wanted.nonzero()[:, 0]
+        return _situation([each[index] for each in _fields(self)])
+
+    def replacing(self, wanted: Tensor, others: "Situation") -> "Situation":
+        """This one, but with the K `others` in the places of the `wanted` cars, [N] bool with K of them true."""
+        index = wanted.nonzero()[:, 0]
+        pairs = zip(_fields(self), _fields(others), strict=True)
+        return _situation([each.index_copy(0, index, other) for each, other in pairs])
+
 
 class Transition(NamedTuple):
     """What one step brought.
@@ -176,6 +187,16 @@ class Task:
     def _draw_within(self, most: float, wanted: Tensor) -> Tensor | None:
         """Numbers between -most and most, [K]."""
         return most * (2 * self.streams.uniform(wanted=wanted)[wanted] - 1) if most else None
+
+
+def _fields(situation: Situation) -> tuple[Tensor, ...]:
+    """Its tensors, [N, ...] each."""
+    return (*situation.state, *situation[1:])
+
+
+def _situation(fields: Sequence[Tensor]) -> Situation:
+    state = len(State._fields)
+    return Situation(State(*fields[:state]), *fields[state:])
 
 
 def _listed(track: Tracks) -> Sequence[Track | str]:

@@ -16,6 +16,8 @@ from carrl.errors import ConfigError
 pygame = pytest.importorskip("pygame", reason="drawing needs pygame; pip install 'carrl[render]'")
 
 from carrl.env import rendering  # noqa: E402 (needs pygame)
+from carrl.env.rendering import palette  # noqa: E402
+from carrl.env.rendering.projection import Projection  # noqa: E402
 
 
 def make(**options):
@@ -70,28 +72,28 @@ def test_the_same_episode_gives_the_same_pictures():
 
 def test_the_car_is_in_the_middle_and_the_road_about_it():
     picture = make(track="oval").render()
-    middle = where(picture[225:256, 305:336], rendering.CAR).mean(axis=0)
+    middle = where(picture[225:256, 305:336], palette.CAR).mean(axis=0)
     assert np.abs(middle - 15).max() < 4
-    assert tuple(picture[200, 300]) == tuple(rendering.ROAD)[:3]
-    assert tuple(picture[400, 300]) == tuple(rendering.GROUND)[:3]
+    assert tuple(picture[200, 300]) == tuple(palette.ROAD)[:3]
+    assert tuple(picture[400, 300]) == tuple(palette.GROUND)[:3]
 
 
 def test_the_walls_are_drawn_to_scale():
     picture = make(track="oval").render()  # at the start a straight road along x, 5 m to either side; 20 px are 1 m
-    rows = where(picture[:, 300:301], rendering.WALL)[:, 0]
+    rows = where(picture[:, 300:301], palette.WALL)[:, 0]
     assert abs(rows - 140).min() <= 1
     assert abs(rows - 340).min() <= 1
     assert set(rows) <= {*range(137, 144), *range(337, 344)}
 
 
 def test_the_car_drives_upwards_where_y_grows():
-    views = rendering._Projection(10.0, np.array([1.0, 2.0]), (100, 60))(np.array([[1.0, 2.0], [2.0, 2.0], [1.0, 3.0]]))
+    views = Projection(10.0, np.array([1.0, 2.0]), (100, 60))(np.array([[1.0, 2.0], [2.0, 2.0], [1.0, 3.0]]))
     assert views.tolist() == [[50, 30], [60, 30], [50, 20]]
 
 
 def test_a_ray_is_coloured_by_how_near_its_wall_is():
-    near, middle, far = (tuple(rendering._nearness_colour(reading)) for reading in (0.0, 0.5, 1.0))
-    assert (near, middle, far) == tuple(map(tuple, (rendering.NEAR, rendering.MIDDLE, rendering.FAR)))
+    near, middle, far = (tuple(palette.nearness_colour(reading)) for reading in (0.0, 0.5, 1.0))
+    assert (near, middle, far) == tuple(map(tuple, (palette.NEAR, palette.MIDDLE, palette.FAR)))
 
 
 def test_rays_end_where_the_sensor_says():
@@ -99,14 +101,14 @@ def test_rays_end_where_the_sensor_says():
     picture = make(track="oval").render()
     assert scene.readings[[0, -1]].tolist() == [0.5, 0.5]
     for row in (140, 340):
-        assert len(where(picture[row - 3 : row + 4, 317:324], rendering.MIDDLE)) > 20
+        assert len(where(picture[row - 3 : row + 4, 317:324], palette.MIDDLE)) > 20
 
 
 def test_the_next_gate_stands_out_and_the_others_do_not():
     picture, env = picture_of("oval")
     pose = pose_at(env, env.task.simulator.track.gate_stations[0].item() - 6)
     next_one, another = (picture.draw(replace(env.scene(), pose=pose, next_gate=gate)).copy() for gate in (0, 4))
-    lit, unlit = (len(where(below_panels(rendering.pixels(each)), rendering.NEXT_GATE)) for each in (next_one, another))
+    lit, unlit = (len(where(below_panels(rendering.pixels(each)), palette.NEXT_GATE)) for each in (next_one, another))
     assert lit > unlit + 400
 
 
@@ -114,7 +116,7 @@ def test_a_collision_shows():
     env = make(track="oval")
     while not env.step(0)[2]:
         pass
-    assert len(where(env.render()[225:256, 305:336], rendering.CRASH)) > 50
+    assert len(where(env.render()[225:256, 305:336], palette.CRASH)) > 50
 
 
 def test_the_trail_follows_the_car_and_ends_with_the_episode():
@@ -141,11 +143,11 @@ def test_the_upper_road_of_a_bridge_hides_the_walls_below(real_circuits):
     picture, env = picture_of(track)
     middle = pose_at(env, crossing)
     shown = rendering.pixels(picture.draw(replace(env.scene(), pose=middle, readings=np.zeros(7))))
-    view = rendering._Projection(20.0, middle[:2], rendering.SIZE)
+    view = Projection(20.0, middle[:2], rendering.SIZE)
     for ahead in np.arange(2.5, 9.0, 0.25):
         for station in (crossing - ahead, crossing + ahead):
             column, row = view(pose_at(env, station)[:2]).round().astype(int)
-            assert tuple(shown[row, column]) in {tuple(rendering.ROAD)[:3], tuple(rendering.GATE)[:3]}
+            assert tuple(shown[row, column]) in {tuple(palette.ROAD)[:3], tuple(palette.GATE)[:3]}
 
 
 @pytest.mark.parametrize("track", ["paper", "Spa.csv"])
@@ -177,13 +179,13 @@ def test_all_cars_of_a_batch_are_on_one_picture():
     env.reset(seed=1)
     (picture,) = env.render()
     assert picture.shape == (480, 640, 3)
-    for colour in rendering.FLEET:
+    for colour in palette.FLEET:
         assert len(where(picture, colour, 60)) > 10
     for _ in range(60):
         _, _, ended, _, _ = env.step(np.zeros(5, dtype=int))
         if ended.any():
             break
-    assert len(where(env.render()[0], rendering.CRASH)) > 10
+    assert len(where(env.render()[0], palette.CRASH)) > 10
 
 
 def test_a_batch_on_several_tracks_shows_the_first():

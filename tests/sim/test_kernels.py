@@ -36,7 +36,9 @@ def track_of(name: str | int) -> Track:
     return random_track(name) if isinstance(name, int) else Track.load(name)
 
 
-def both(track: Track, vehicle: VehicleModel | None = None, sensor: Sensor | None = None) -> tuple[Simulator, Simulator]:
+def both(
+    track: Track, vehicle: VehicleModel | None = None, sensor: Sensor | None = None
+) -> tuple[Simulator, Simulator]:
     """The compiled simulator and the plain one."""
     options = track, vehicle or Vehicle(), sensor or Sensor()
     return Simulator(*options), Simulator(*options, compiled=False)
