@@ -74,16 +74,8 @@ class CarStreams(RandomStreams):
             if seed is not None:
                 self._generators[car].manual_seed(seed)
 
-    def uniform(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
-        """Numbers from 0 to 1, [N, *columns], float64; zero for cars that are not wanted, [N]."""
-        return self._fill(torch.rand, columns, wanted)
-
-    def normal(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
-        """Numbers of mean 0 and standard deviation 1, [N, *columns], float64; zero as in `uniform`."""
-        return self._fill(torch.randn, columns, wanted)
-
-    def _fill(self, draw: Callable[..., Tensor], columns: tuple[int, ...], wanted: Tensor | None) -> Tensor:
-        """Far quicker than to ask for each car whether it is wanted."""
+    def _draw(self, draw: Callable[..., Tensor], columns: tuple[int, ...], wanted: Tensor | None) -> Tensor:
+        """Zero for cars that are not wanted; far quicker than to ask for each of them."""
         numbers = torch.zeros(len(self._generators), *columns, dtype=torch.float64)
         cars = torch.arange(len(numbers)) if wanted is None else wanted.nonzero()[:, 0]
         own = [draw((1, *columns), dtype=torch.float64, generator=self._generators[car]) for car in cars.tolist()]

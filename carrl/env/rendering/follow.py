@@ -18,6 +18,7 @@ from carrl.sim.vehicle import Action
 LEAST_VIEW = 24.0
 """Height of what the picture shows, m; more where the rays reach farther."""
 _MAP_SIZE = (150, 122)
+_FIGURES_SIZE = (142, 135)
 
 
 class FollowPicture:
@@ -77,10 +78,14 @@ class FollowPicture:
             self._write_about(np.array(self.size) / 2 - (0, 26), "hit a wall", INK)
 
     def _write_about(self, place: Floats, text: str, colour: pygame.Color) -> None:
-        """A label with its middle at a place, [2], px, if all of it is in the picture."""
+        """A label with its middle at a place, [2], px, if all of it is in the picture and beside the upper panels."""
         label = written(text, 19, colour)
         area = label.get_rect(center=place.round().tolist())
-        if self._picture.get_rect().contains(area):
+        picture = self._picture.get_rect()
+        panels = (pygame.Rect(picture.topleft, _FIGURES_SIZE), pygame.Rect((0, 0), _MAP_SIZE))
+        panels[1].topright = picture.topright
+        margin = 2 * MARGIN
+        if picture.contains(area) and area.inflate(margin, margin).collidelist(panels) < 0:
             self._picture.blit(label, area)
 
     def _draw_map(self, ground: Ground, scene: Scene) -> None:
@@ -104,7 +109,7 @@ class FollowPicture:
             ("return", f"{scene.episode_return:,.0f}"),
             ("action", Action(scene.last_action).name.lower()),
         )
-        panel = pygame.Rect(MARGIN, MARGIN, 142, 16 + 17 * len(rows))
+        panel = pygame.Rect((MARGIN, MARGIN), _FIGURES_SIZE)
         draw_panel(self._picture, panel)
         for index, (name, value) in enumerate(rows):
             top = panel.top + 8 + 17 * index
