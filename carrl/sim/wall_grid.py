@@ -12,8 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carrl.errors import TrackError
+
 CELLS_PER_REACH = 4
 MOST_CELLS = 2**18
+MOST_PAIRS = 10_000_000
+"""Of a wall and a cell that may be near it; 70,000 walls a metre long have so many. They take about a gigabyte."""
 _MARGIN = 1e-6
 """Share of the largest coordinate by which lists reach further, for the rounding of positions in float32."""
 
@@ -48,6 +52,9 @@ class WallGrid:
             walls: [S, 2, 2], m.
             reach: how far a car sees or moves, m.
             touch: how far it touches anything in one step, m, at most `reach`; these walls come first in each list.
+
+        Raises:
+            TrackError: there are too many walls.
         """
         walls = walls.astype(np.float64)
         margin = _MARGIN * (np.abs(walls).max() + reach)
@@ -91,6 +98,10 @@ def _pair(
     last = np.clip(((walls.max(1) + reach - low) // cell_size).astype(np.int64), 0, shape - 1)
     width, height = (last - first + 1).T
     count = width * height
+    if count.sum() > MOST_PAIRS:
+        raise TrackError(
+            f"a track of {len(walls):,} walls is too finely drawn; leave out points, so that they stand a metre apart"
+        )
     wall = np.repeat(np.arange(len(walls)), count)
     within = np.arange(count.sum()) - np.repeat(count.cumsum() - count, count)
     column, row = first[wall, 0] + within % width[wall], first[wall, 1] + within // width[wall]

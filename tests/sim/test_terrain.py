@@ -55,6 +55,13 @@ def test_memory_stays_bounded_on_a_huge_map():
     assert grid.columns * grid.rows == len(grid.list_of_cell) <= 1.01 * MOST_CELLS + grid.columns + grid.rows
 
 
+def test_more_walls_than_memory_has_room_for_are_refused():
+    angle = np.arange(200_000) * 2 * math.pi / 200_000
+    points = 500 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    with pytest.raises(TrackError, match="200,000 walls is too finely drawn; leave out points"):
+        WallGrid.build(np.stack([points, np.roll(points, -1, axis=0)], axis=1), 10.0, 1.5)
+
+
 @pytest.mark.parametrize("reach", [1.0, 25.0])
 def test_a_list_holds_exactly_the_walls_within_reach_of_its_cell_and_first_those_within_touch(reach: float):
     walls, touch = random_track(5).walls.numpy(), 0.7
