@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     from carrl.env.track_env import TrackEnv
     from carrl.sim.sensor import Sensor
     from carrl.sim.track import Track
-    from carrl.sim.vehicle import Action, Vehicle
+    from carrl.sim.vehicle import Action, Bicycle, Vehicle
 
 __all__ = [
     "Action",
+    "Bicycle",
     "GymTrackEnv",
     "GymVectorTrackEnv",
     "Reward",
@@ -46,6 +47,7 @@ gymnasium.register(
 
 _HOMES = {
     "Action": "carrl.sim.vehicle",
+    "Bicycle": "carrl.sim.vehicle",
     "GymTrackEnv": "carrl.env.gym_env",
     "GymVectorTrackEnv": "carrl.env.gym_vector_env",
     "Reward": "carrl.env.reward",
