@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from benchmarks import figures
-from benchmarks.child import ROOT
+from benchmarks.child import CIRCUITS
 from benchmarks.options import Parser, positive, tell
 from carrl.errors import CarrlError
 from carrl.sim.geometry import ray_distances
@@ -18,8 +18,6 @@ from carrl.sim.terrain import Plot
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
 
-CIRCUITS = ROOT.parent / "shared" / "tracks" / "real"
-"""Where they lie if the real circuits are beside the checkout."""
 HEADER = ("track", "walls", "KiB", "rays", "more than 1 mm off", "largest difference, m")
 TOLERANCE = 1e-3
 OFF_ROAD = 0.1

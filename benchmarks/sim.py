@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import figures, sim_profile, sim_tables
-from benchmarks.child import ROOT, BenchError
+from benchmarks.child import CIRCUITS, BenchError
 from benchmarks.machine import describe_machine, machine_line
 from benchmarks.options import Parser, names_of, positive, tell, writable
 from benchmarks.sim_cells import LONGEST_CALL_S, PAPER, Course, measure
@@ -17,8 +17,7 @@ from benchmarks.sim_first_use import time_first_use
 from benchmarks.sim_limit import measure_limit
 from benchmarks.sim_tables import Reference, Row
 
-SPA = ROOT.parent / "shared" / "tracks" / "real" / "Spa.csv"
-"""Where it lies if the real circuits are beside the checkout."""
+SPA = CIRCUITS / "Spa.csv"
 CARS = tuple(4**power for power in range(8))
 NOTES = (
     "One thread each; car-steps of all cars together, with 7 rays each and cars put back after a collision.",

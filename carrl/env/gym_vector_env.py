@@ -74,7 +74,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         check_options(options, ("num_envs", "max_episode_steps", "autoreset_mode"))
         check_render_mode(render_mode)
         self.task = Task(track, num_envs, max_steps=max_episode_steps, **options)
-        self.task.streams = CarStreams(num_envs)
+        self.task.streams = self._streams = CarStreams(num_envs)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, _autoreset_mode(autoreset_mode)
         fps = 1 / self.task.simulator.vehicle.time_step
         self.metadata = self.metadata | {"render_fps": fps, "autoreset_mode": self.autoreset_mode}
@@ -165,11 +165,6 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._window is not None:
             self._window.close()
         self._window = None
-
-    @property
-    def _streams(self) -> CarStreams:
-        assert isinstance(self.task.streams, CarStreams)
-        return self.task.streams
 
     def _end_in_next_step(self, after: Transition, resetting: Bools) -> Step:
         """What the step brought, but for the cars that it was to put back to the start."""

@@ -61,6 +61,7 @@ class _Reader:
     values: dict[str, Any]
 
     def drawing(self) -> DrawingFile:
+        """What the file draws."""
         forms = [key for key in ("corners", "points") if key in self.values]
         if len(forms) != 1:
             raise self._error(f"it has {' and '.join(forms) or 'neither'}; it must have one of corners and points")

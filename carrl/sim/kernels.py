@@ -141,6 +141,7 @@ def _sense(world: World, pose: np.ndarray, next_gate: np.ndarray, track: np.ndar
     ranges = np.empty((cars, world.rays), np.float32)
     work = np.empty((3, world.fan.shape[1]))
     for car in range(cars):
+        _check_place(world, track[car], next_gate[car])
         x, y, heading = np.float64(pose[car, 0]), np.float64(pose[car, 1]), np.float64(pose[car, 2])
         begin, _, end = _walls_near(world, x, y, _level(world, track[car], next_gate[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
@@ -166,6 +167,9 @@ def _step(
     collided = np.empty(cars, np.bool_)
     work = np.empty((3, world.fan.shape[1]))
     for car in range(cars):
+        _check_place(world, track[car], next_gate[car])
+        if not 0 <= action[car] < len(world.manoeuvres):
+            raise ValueError("an action is not one of those that the car has")
         _move(world.manoeuvres[action[car]], pose[car], next_pose[car])
         begin_x, begin_y = np.float64(pose[car, 0]), np.float64(pose[car, 1])
         x, y, heading = np.float64(next_pose[car, 0]), np.float64(next_pose[car, 1]), np.float64(next_pose[car, 2])
@@ -192,6 +196,15 @@ def _move(manoeuvre: np.ndarray, pose: np.ndarray, moved: np.ndarray) -> None:
     moved[0] = pose[0] + distance * np.float32(math.cos(direction))
     moved[1] = pose[1] + distance * np.float32(math.sin(direction))
     moved[2] = (pose[2] + yaw + np.float32(math.pi)) % np.float32(2 * math.pi) - np.float32(math.pi)
+
+
+@_inlined
+def _check_place(world: World, track: int, next_gate: int) -> None:
+    """Raises ValueError where indices would read beyond the arrays, which compiled code does unasked."""
+    if not 0 <= track < len(world.first_gate) - 1:
+        raise ValueError("a track's index is not one of those that the simulator has")
+    if not 0 <= next_gate < world.first_gate[track + 1] - world.first_gate[track]:
+        raise ValueError("a gate's index is not one of those that the track has")
 
 
 @_inlined

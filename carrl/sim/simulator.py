@@ -142,7 +142,7 @@ class Simulator:
         track = torch.zeros(len(stations), dtype=torch.int64) if track is None else track.cpu()
         pose = self.routes.poses(track, stations)
         if offset is not None:
-            pose[:, :2] += self._sideways(track, stations, offset.cpu())
+            pose[:, :2] += self._sideways(track, stations, pose[:, 2], offset.cpu())
         if heading is not None:
             pose[:, 2] += heading.cpu()
         next_gate = self.routes.next_gate(track, stations).to(self.device)
@@ -204,9 +204,8 @@ class Simulator:
         most_gates = self._most_gates_per_step
         return Kernels(self.terrain, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
 
-    def _sideways(self, track: Tensor, stations: Tensor, offset: Tensor) -> Tensor:
-        """From the centreline as far towards a wall as the offset [B] says: [B, 2], m."""
-        heading = self.routes.poses(track, stations)[:, 2]
+    def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
+        """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""
         left, right = (self.routes.room(track, stations) - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0).T
         shift = torch.where(offset > 0, left, right) * offset
         return shift[:, None] * torch.stack([-heading.sin(), heading.cos()], dim=-1)

@@ -4,6 +4,7 @@ Shapes: `A` actions, `B` cars. Lengths are in metres, angles in radians counter-
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -40,7 +41,7 @@ class Manoeuvre(NamedTuple):
         return Manoeuvre(self.distance, -self.bearing, -self.yaw)
 
 
-class VehicleModel:
+class VehicleModel(ABC):
     """What all cars have in common; a model of one says what its actions do."""
 
     speed: float
@@ -59,9 +60,9 @@ class VehicleModel:
         return Manoeuvre(self.step_length, 0.0, 0.0)
 
     @property
+    @abstractmethod
     def left(self) -> Manoeuvre:
         """What a step of the action left does; right is its mirror image."""
-        raise NotImplementedError
 
     @property
     def manoeuvres(self) -> tuple[Manoeuvre, ...]:

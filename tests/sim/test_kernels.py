@@ -273,6 +273,26 @@ def test_inputs_of_unequal_numbers_of_cars_are_refused(short: int):
         simulator.sense(state._replace(pose=state.pose[:, :2]))
 
 
+@pytest.mark.parametrize("wrong", [-1, 99])
+@pytest.mark.parametrize("field", ["next_gate", "track"])
+def test_a_gate_or_a_track_that_is_not_there_is_refused(field: str, wrong: int):
+    simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
+    state, action = random_cars(simulator, 3, seed=9)
+    elsewhere = state._replace(**{field: torch.tensor([0, wrong, 0])})
+    with pytest.raises(ValueError, match="index is not one of those"):
+        simulator.step(elsewhere, action)
+    with pytest.raises(ValueError, match="index is not one of those"):
+        simulator.sense(elsewhere)
+
+
+@pytest.mark.parametrize("wrong", [-1, 3])
+def test_an_action_that_the_car_does_not_have_is_refused(wrong: int):
+    simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
+    state, _ = random_cars(simulator, 3, seed=9)
+    with pytest.raises(ValueError, match="an action is not one of those that the car has"):
+        simulator.step(state, torch.tensor([0, wrong, 0]))
+
+
 def test_threads_may_step_at_the_same_time():
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
     cars = [random_cars(simulator, 3000, seed) for seed in range(4)]
