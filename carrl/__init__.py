@@ -5,9 +5,9 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-_IMPORTED_AT = time.monotonic()
+from carrl.registration import register_with_gymnasium
 
-import gymnasium  # noqa: E402 (takes long enough to count as start-up)
+_IMPORTED_AT = time.monotonic()
 
 if TYPE_CHECKING:
     from carrl import log
@@ -38,12 +38,7 @@ try:
 except PackageNotFoundError:  # a checkout on the path that was never installed
     __version__ = "0+unknown"
 
-gymnasium.register(
-    "carrl/Track-v0",
-    entry_point="carrl.env.gym_env:GymTrackEnv",
-    vector_entry_point="carrl.env.gym_vector_env:GymVectorTrackEnv",
-    max_episode_steps=1000,
-)
+register_with_gymnasium()
 
 _HOMES = {
     "Action": "carrl.sim.vehicle",

@@ -17,5 +17,9 @@ class LogError(CarrlError):
     """A log file that cannot be written, or is not a readable CarRL log."""
 
 
+class DamagedLogError(LogError):
+    """A file that can be read, but is not an intact and finished CarRL log."""
+
+
 class CheckpointError(CarrlError):
     """A run folder or checkpoint that is missing, damaged or of another version."""

@@ -4,7 +4,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,14 @@ from omegaconf.errors import OmegaConfBaseException
 from torchrl import logger as torchrl_logger
 
 from carrl.config import build_node, config_dir
+from carrl.env.track_env import TrackEnv
 from carrl.errors import CarrlError, ConfigError
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Pipeline, World, build_pipeline
 from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_text
+from carrl.run.provenance import describe_run
 from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
-from carrl.sim.track import Track
 from carrl.view.console import TrainingDisplay, print_summaries, print_summary
 from carrl.view.lap import draw_lap
 from carrl.view.learning_curve import draw_learning_curve
@@ -97,10 +98,10 @@ def _open_folder(path: Path, config: DictConfig, pipeline: Pipeline, seed: int) 
         path = path / f"seed={seed}"
         (path / CONFIG).parent.mkdir(parents=True, exist_ok=True)
         write_text(path / CONFIG, OmegaConf.to_yaml(config))
-    return RunFolder(path, _open_log(path, config, pipeline.env.tracks))
+    return RunFolder(path, _open_log(path, config, pipeline.env, seed, len(pipeline.agents)))
 
 
-def _open_log(path: Path, config: DictConfig, tracks: Sequence[Track]) -> Any:
+def _open_log(path: Path, config: DictConfig, env: TrackEnv, seed: int, agents: int) -> Any:
     if not config.get("recorder"):
         return None
     return build_node(
@@ -111,10 +112,10 @@ def _open_log(path: Path, config: DictConfig, tracks: Sequence[Track]) -> Any:
             "config.yaml": OmegaConf.to_yaml(config, resolve=True).encode(),
             **{
                 f"track-{index}.json" if index else "track.json": json.dumps(track.as_dict()).encode()
-                for index, track in enumerate(tracks)
+                for index, track in enumerate(env.tracks)
             },
         },
-        metadata={"seed": str(config.seed), "track": tracks[0].name},
+        metadata=describe_run(env, seed, env.batch_size[0] // agents),
     )
 
 

@@ -1,49 +1,96 @@
-"""Columns to one protobuf message and back; every `ValueError` names the column, what was found and what is right."""
+"""What a log holds to protobuf messages and back; every `ValueError` names what was found and what is right.
 
+Shape letters: `T` transitions in a message.
+"""
+
+import dataclasses
 import math
+import typing
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from google.protobuf.message import DecodeError
 
-from carrl.record.schema import COLUMNS, Column, wire_class
+from carrl.record.messages import Ended, Episode, Metrics
+from carrl.record.schema import COLUMNS, MESSAGE_NAMES, SMALL_MESSAGES, TRANSITIONS, Column, message_class
 
 MAX_MESSAGE_BYTES = 8 * 2**20
 """A larger batch is written as several messages, so that a reader needs little memory for one."""
 
+Columns = dict[str, np.ndarray]
+"""The columns of the table by name, each [T] or [T, width]."""
 
-def encode(columns: Mapping[str, np.ndarray]) -> bytes:
-    """Serialises T transitions as one message.
 
-    Args:
-        columns: every column of the table as [T] or [T, width], with the table's in-memory types.
+@dataclass(frozen=True)
+class Batch:
+    """One message of transitions.
+
+    Attributes:
+        run: the run's number, which all of its messages bear.
+        offset: how many transitions the file holds before this message.
+        columns: T transitions.
+    """
+
+    run: int
+    offset: int
+    columns: Columns
+
+    @property
+    def count(self) -> int:
+        """Transitions, T."""
+        return len(self.columns["action"])
+
+    def encode(self) -> bytes:
+        """Serialises the batch, whose columns have the table's in-memory types or those in the file.
+
+        Raises:
+            ValueError: an integer does not fit its type in the file.
+        """
+        payloads = {column.name: _to_wire(column, self.columns[column.name]) for column in COLUMNS}
+        message = message_class(TRANSITIONS)(run=self.run, offset=self.offset, count=self.count, **payloads)
+        return bytes(message.SerializeToString())
+
+    @staticmethod
+    def decode(message: bytes) -> "Batch":
+        """Reads one message into columns that still have their types in the file and are read-only.
+
+        Nothing is allocated by the message's own `count`; it is only compared with the columns' lengths.
+
+        Raises:
+            ValueError: not a message of this schema, or its columns disagree about T or R.
+        """
+        wire = _parse(TRANSITIONS, message)
+        columns = {column.name: _from_wire(column, getattr(wire, column.name), wire.count) for column in COLUMNS}
+        if wire.count == 0:
+            raise ValueError("a batch of no transitions")
+        check_rays(columns)
+        return Batch(wire.run, wire.offset, columns)
+
+
+def encode_small(topic: str, run: int, message: Episode | Metrics) -> bytes:
+    """Serialises an ended episode or a message of metrics."""
+    fields = {field.name: getattr(message, field.name) for field in dataclasses.fields(message)}
+    return bytes(message_class(topic)(run=run, **fields).SerializeToString())
+
+
+def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
+    """Reads what `encode_small` wrote: the run's number and the message.
 
     Raises:
-        ValueError: an integer does not fit its type in the file.
+        ValueError: not a message of this topic's schema.
     """
-    count = len(columns[COLUMNS[0].name])
-    payloads = {column.name: _to_wire(column, columns[column.name]) for column in COLUMNS}
-    return bytes(wire_class()(count=count, **payloads).SerializeToString())
+    wire = _parse(topic, message)
+    kind = SMALL_MESSAGES[topic]
+    values = {field.name: getattr(wire, field.name) for field in dataclasses.fields(kind)}
+    if kind is Episode:
+        values["end_pose"] = tuple(values["end_pose"])
+        if values["ended"] not in typing.get_args(Ended) or len(values["end_pose"]) != 3:
+            raise ValueError(f"an episode ended by {values['ended']!r:.20} at {len(values['end_pose'])} coordinates")
+    return wire.run, kind(**values)
 
 
-def decode(message: bytes) -> dict[str, np.ndarray]:
-    """Reads one message into columns [T] or [T, width] that still have their types in the file and are read-only.
-
-    Nothing is allocated by the message's own `count`; it is only compared with the columns' lengths.
-
-    Raises:
-        ValueError: not a message of this schema, or its columns disagree about T or R.
-    """
-    try:
-        wire = wire_class().FromString(message)
-    except DecodeError as error:
-        raise ValueError("not a carrl.Transitions message") from error
-    columns = {column.name: _from_wire(column, getattr(wire, column.name), wire.count) for column in COLUMNS}
-    check_rays(columns)
-    return columns
-
-
-def pieces(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+def pieces(columns: Mapping[str, np.ndarray]) -> list[Columns]:
     """Cuts a batch into messages of at most `MAX_MESSAGE_BYTES`; an empty batch into none."""
     count = len(columns[COLUMNS[0].name])
     row_bytes = sum(values.dtype.itemsize * math.prod(values.shape[1:]) for values in columns.values())
@@ -68,6 +115,13 @@ def check_row_shapes(columns: Mapping[str, np.ndarray], expected: Mapping[str, t
     for name, shape in row_shapes(columns).items():
         if shape != expected[name]:
             raise ValueError(f"column '{name}' has shape {list(shape)}; the file has {list(expected[name])} so far")
+
+
+def _parse(topic: str, message: bytes) -> typing.Any:
+    try:
+        return message_class(topic).FromString(message)
+    except DecodeError as error:
+        raise ValueError(f"not a {MESSAGE_NAMES[topic]} message") from error
 
 
 def _to_wire(column: Column, values: np.ndarray) -> bytes:

@@ -1,139 +1,302 @@
-"""Reads a finished log: what is in it, its columns, its attachments. Needs no torch.
+"""Reads a finished log: what is in it, its transitions, episodes and metrics. Needs no torch.
 
-Shape letters: `T` transitions in the file.
+Everything goes through the file's index, so that one episode of a large log is read in the time of a few chunks, and no
+more than a chunk is in memory at once.
+
+Shape letters: `T` transitions.
 """
 
-from collections.abc import Mapping
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import numpy as np
-from mcap.records import Attachment
+from mcap.records import ChunkIndex, Message
 
-from carrl.errors import LogError
-from carrl.record.codec import row_shapes
-from carrl.record.scan import Scan, quoted_names
-from carrl.record.schema import COLUMNS, FORMAT_VERSION, TOPIC, empty_columns
+from carrl.errors import DamagedLogError, LogError
+from carrl.record.codec import Batch, Columns, check_row_shapes, decode_small, row_shapes
+from carrl.record.mcap_index import IndexedFile, damaged
+from carrl.record.messages import Episode, Metrics
+from carrl.record.metadata import is_intact
+from carrl.record.schema import (
+    COLUMNS,
+    EPISODES,
+    FORMAT_VERSION,
+    MESSAGE_NAMES,
+    METADATA_NAME,
+    METRICS,
+    TRANSITIONS,
+    empty_columns,
+)
 
 _BATCHES_IN_A_BLOCK = 1024  # joined early: as arrays of their own, batches of one transition take 30 times its memory
 
 
 @dataclass(frozen=True)
-class TopicSummary:
-    """How much one topic holds: `message_bytes` counts its messages before compression."""
+class Selection:
+    """Which transitions to read; everything by default.
 
-    messages: int
-    message_bytes: int
+    Attributes:
+        episodes: numbers of episodes; None for all.
+        envs: indices of cars; None for all.
+        begin_s: simulated time of the first, s.
+        end_s: simulated time before which the last one begins, s.
+    """
+
+    episodes: Collection[int] | None = None
+    envs: Collection[int] | None = None
+    begin_s: float | None = None
+    end_s: float | None = None
+
+    @property
+    def span_ns(self) -> tuple[float, float]:
+        """Begin and end of the time, ns."""
+        begin = -np.inf if self.begin_s is None else self.begin_s * 1e9
+        return begin, np.inf if self.end_s is None else self.end_s * 1e9
+
+    def of(self, columns: Columns) -> Columns:
+        """Those of the columns' transitions that are selected."""
+        begin, end = self.span_ns
+        times = columns["time_ns"]
+        wanted = (times >= begin) & (times < end)
+        if self.episodes is not None:
+            wanted &= np.isin(columns["episode"], list(self.episodes))
+        if self.envs is not None:
+            wanted &= np.isin(columns["env"], list(self.envs))
+        return columns if wanted.all() else {name: values[wanted] for name, values in columns.items()}
 
 
-@dataclass(frozen=True)
-class LogSummary:
-    """What is in a log.
+EVERYTHING = Selection()
+
+
+@dataclass
+class Log:
+    """A finished log, opened; use it in a `with` statement.
 
     Attributes:
         path: the file.
-        format_version: the version of the format, an integer.
-        file_bytes: its size on disk.
-        transitions: how many it holds.
-        episodes_ended: how many of them ended an episode, terminated or truncated.
-        start_time_s: simulated time of the first batch, s; None without transitions.
-        end_time_s: simulated time of the last batch, s; None without transitions.
-        topics: by name.
-        row_shapes: shape of one transition's value in each column, () or (width,).
-        attachments: size of each, bytes.
-        metadata: the format's own keys and those of the run.
+        metadata: the entries of the record "carrl".
+
+    Raises:
+        LogError: the file cannot be read, or has no attachment of the name asked for.
+        DamagedLogError: it is not an intact log of this format; what the methods read, they check then.
     """
 
     path: Path
-    format_version: int
-    file_bytes: int
-    transitions: int
-    episodes_ended: int
-    start_time_s: float | None
-    end_time_s: float | None
-    topics: Mapping[str, TopicSummary]
-    row_shapes: Mapping[str, tuple[int, ...]]
-    attachments: Mapping[str, int]
-    metadata: Mapping[str, str]
+    metadata: Mapping[str, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Reads the file's index and metadata."""
+        self._file = IndexedFile(self.path)
+        try:
+            self.metadata = self._read_metadata()
+            self._topics = self._read_topics()
+        except BaseException:
+            self._file.__exit__(None, None, None)
+            raise
+
+    def __enter__(self) -> Self:
+        """Returns the log itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Closes the file."""
+        self._file.__exit__(kind, error, trace)
 
     @property
-    def messages(self) -> int:
-        """Batches of transitions."""
-        return self.topics[TOPIC].messages
+    def file_bytes(self) -> int:
+        """Size of the file."""
+        return self._file.size
 
     @property
-    def time_span_s(self) -> float:
-        """Simulated time between the first and the last batch, s."""
-        return (self.end_time_s or 0.0) - (self.start_time_s or 0.0)
+    def messages(self) -> Mapping[str, int]:
+        """How many messages each topic has."""
+        counts = self._file.index.messages
+        return {topic: counts.get(channel, 0) for channel, topic in self._topics.items()}
 
     @property
-    def bytes_per_transition(self) -> float | None:
-        """Bytes on disk, everything included, for each transition; None without transitions."""
-        return self.file_bytes / self.transitions if self.transitions else None
+    def attachments(self) -> Mapping[str, int]:
+        """Size of each attachment by name, bytes."""
+        return {entry.name: entry.data_size for entry in self._file.index.attachments}
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Simulated times of the first and the last transition, ns; None without transitions."""
+        ends = list(self._end_batches())
+        if not ends:
+            return None
+        return int(ends[0].columns["time_ns"][0]), int(ends[-1].columns["time_ns"][-1])
+
+    @property
+    def transitions(self) -> int:
+        """How many transitions it holds."""
+        ends = list(self._end_batches())
+        return ends[-1].offset + ends[-1].count if ends else 0
+
+    @property
+    def row_shapes(self) -> Mapping[str, tuple[int, ...]]:
+        """Shape of one transition's value in each column: () or (width,)."""
+        return row_shapes(next((batch.columns for batch in self._end_batches()), empty_columns()))
+
+    def attachment(self, name: str) -> bytes:
+        """The content of an attachment, such as `config.yaml` or `track.json`."""
+        for entry in self._file.index.attachments:
+            if entry.name == name:
+                return self._file.read_attachment(entry).data
+        raise LogError(f"log '{self.path}': has no attachment '{name}'; it has: {quoted_names(self.attachments)}")
+
+    @property
+    def places(self) -> Mapping[str, list[int]]:
+        """Where the chunks, attachments and metadata records begin, bytes from the file's begin."""
+        index = self._file.index
+        return {
+            "chunk": [chunk.chunk_start_offset for chunk in index.chunks],
+            "attachment": [entry.offset for entry in index.attachments],
+            "metadata": [entry.offset for entry in index.metadata],
+        }
+
+    def batches(self, selection: Selection = EVERYTHING) -> Iterator[Columns]:
+        """Yields the selected transitions in the order of writing, some thousands at a time.
+
+        Each column is [T] or [T, width], writable, with the type of the table of columns.
+        """
+        for columns in self._batches(selection):
+            yield _join([columns])
+
+    def coded_batches(self, selection: Selection = EVERYTHING) -> Iterator[Batch]:
+        """Yields, as they were written, the messages of transitions among which the selected ones are."""
+        return self._decoded(self._chunks_of(selection))
+
+    def columns(self, selection: Selection = EVERYTHING) -> Columns:
+        """The selected transitions all at once, as `batches` yields them."""
+        blocks, batches = [], []
+        for columns in self._batches(selection):
+            batches.append(columns)
+            if len(batches) == _BATCHES_IN_A_BLOCK:
+                blocks.append(_join(batches))
+                batches = []
+        return _join([*blocks, *batches])
+
+    def episodes(self) -> Iterator[Episode]:
+        """Yields the ended episodes in the order in which they ended."""
+        for message in self._small(EPISODES):
+            assert isinstance(message, Episode)
+            yield message
+
+    def metrics(self) -> Iterator[Metrics]:
+        """Yields the messages about the learning in their order."""
+        for message in self._small(METRICS):
+            assert isinstance(message, Metrics)
+            yield message
+
+    def _batches(self, selection: Selection) -> Iterator[Columns]:
+        """As `batches`, but read-only and with the types in the file."""
+        expected: Mapping[str, tuple[int, ...]] | None = None
+        for batch in self.coded_batches(selection):
+            expected = expected or row_shapes(batch.columns)
+            try:
+                check_row_shapes(batch.columns, expected)
+            except ValueError as error:
+                raise self._wrong(f"a message is wrong: {error}") from error
+            selected = selection.of(batch.columns)
+            if len(selected["action"]):
+                yield dict(selected)
+
+    def _small(self, topic: str) -> Iterator[Episode | Metrics]:
+        for chunk in self._chunks_with(topic):
+            for message in self._messages(chunk, topic):
+                try:
+                    yield decode_small(topic, message.data)[1]
+                except ValueError as error:
+                    raise self._wrong(f"message {message.sequence} of {topic} is wrong: {error}") from error
+
+    def _decoded(self, chunks: Iterable[ChunkIndex]) -> Iterator[Batch]:
+        for chunk in chunks:
+            for message in self._messages(chunk, TRANSITIONS):
+                try:
+                    yield Batch.decode(message.data)
+                except ValueError as error:
+                    raise self._wrong(f"message {message.sequence} is wrong: {error}") from error
+
+    def _messages(self, chunk: ChunkIndex, topic: str) -> Iterator[Message]:
+        for message in self._file.messages(chunk):
+            if self._topics.get(message.channel_id) == topic:
+                yield message
+
+    def _chunks_with(self, topic: str) -> list[ChunkIndex]:
+        channels = {channel for channel, name in self._topics.items() if name == topic}
+        return [chunk for chunk in self._file.index.chunks if channels & chunk.message_index_offsets.keys()]
+
+    def _chunks_of(self, selection: Selection) -> Iterator[ChunkIndex]:
+        """The chunks that may hold a selected transition: each spans the time from the end of the one before on."""
+        chunks = self._chunks_with(TRANSITIONS)
+        spans = self._spans_of(selection)
+        chunk_begin = -np.inf
+        for chunk in chunks:
+            if any(begin <= chunk.message_end_time and chunk_begin <= end for begin, end in spans):
+                yield chunk
+            chunk_begin = chunk.message_end_time
+
+    def _spans_of(self, selection: Selection) -> list[tuple[float, float]]:
+        """Times, ns, within which all selected transitions lie."""
+        begin, end = selection.span_ns
+        wanted = selection.episodes
+        if wanted is None:
+            return [(begin, end)]
+        ended = [episode for episode in self.episodes() if episode.episode in wanted]
+        if len({episode.episode for episode in ended}) < len(set(wanted)):  # one that never ended may be anywhere
+            return [(begin, end)]
+        return [(max(begin, episode.begin_ns), min(end, episode.end_ns)) for episode in ended]
+
+    def _end_batches(self) -> Iterator[Batch]:
+        """The first and the last batch; one and the same if there is but one."""
+        chunks = self._chunks_with(TRANSITIONS)
+        yield from list(self._decoded(chunks[:1]))[:1]
+        yield from list(self._decoded(chunks[-1:]))[-1:]
+
+    def _read_metadata(self) -> dict[str, str]:
+        found = [entry for entry in self._file.index.metadata if entry.name == METADATA_NAME]
+        if not found:
+            raise self._wrong(f"no metadata record '{METADATA_NAME}'")
+        entries = self._file.read_metadata(found[0]).metadata
+        version = entries.get("format_version")
+        if version != str(FORMAT_VERSION):
+            raise DamagedLogError(
+                f"log '{self.path}': has format version {version!r:.20}, this carrl reads {FORMAT_VERSION}; "
+                "use the version of carrl that wrote it"
+            )
+        if not is_intact(entries):
+            raise damaged(self.path, "its metadata does not have the checksum that was stored")
+        return entries
+
+    def _read_topics(self) -> dict[int, str]:
+        """The topics of this format by their channels' numbers."""
+        topics = {}
+        for number, (channel, schema) in self._file.index.channels.items():
+            kind = (channel.message_encoding, schema.encoding, schema.name) if schema else None
+            name = MESSAGE_NAMES.get(channel.topic)
+            if name is not None:
+                if kind != ("protobuf", "protobuf", name):
+                    raise self._wrong(f"topic {channel.topic} has the schema {kind!r:.100}, not {name} in protobuf")
+                topics[number] = channel.topic
+        if TRANSITIONS not in topics.values():
+            raise self._wrong(f"no topic {TRANSITIONS} among: {quoted_names(topics.values())}")
+        return topics
+
+    def _wrong(self, found: str) -> DamagedLogError:
+        return DamagedLogError(f"log '{self.path}': is not a CarRL log: {found}; give the train.mcap of a run")
 
 
-def read_summary(path: str | Path) -> LogSummary:
-    """Reads through the whole file, one chunk in memory at a time, and says what is in it.
-
-    Raises:
-        LogError: not an intact log.
-    """
-    scan = Scan(Path(path))
-    transitions = episodes_ended = 0
-    times: list[int] = []  # of the first and the last batch, ns
-    for message, columns in scan.batches():
-        transitions += len(columns["action"])
-        episodes_ended += int((columns["terminated"] | columns["truncated"]).sum())
-        times = [min([message.log_time, *times]), max([message.log_time, *times])]
-    return LogSummary(
-        path=scan.path,
-        format_version=FORMAT_VERSION,
-        file_bytes=scan.path.stat().st_size,
-        transitions=transitions,
-        episodes_ended=episodes_ended,
-        start_time_s=times[0] / 1e9 if times else None,
-        end_time_s=times[1] / 1e9 if times else None,
-        topics={topic: TopicSummary(*totals) for topic, totals in scan.topics.items()},
-        row_shapes=scan.row_shapes or row_shapes(empty_columns()),
-        attachments=scan.attachments,
-        metadata=scan.metadata,
-    )
+def quoted_names(names: Iterable[str]) -> str:
+    """Quoted and cut, for a file may hold any text as a name."""
+    return f"{', '.join(map(repr, names)) or 'none':.200}"
 
 
-def read_columns(path: str | Path) -> dict[str, np.ndarray]:
-    """Reads every column, bit for bit as it was written, in the order of writing.
-
-    Returns:
-        Each column by name as [T] or [T, width], writable, with the types of `carrl.record.schema.COLUMNS`.
-
-    Raises:
-        LogError: not an intact log.
-    """
-    blocks, batches = [], []
-    for _, columns in Scan(Path(path)).batches():
-        batches.append(columns)
-        if len(batches) == _BATCHES_IN_A_BLOCK:
-            blocks.append(_join(batches))
-            batches = []
-    return _join([*blocks, *batches])
-
-
-def read_attachment(path: str | Path, name: str) -> bytes:
-    """Reads one attachment, such as `config.yaml` or `track.json`.
-
-    Raises:
-        LogError: no attachment has this name, or not an intact log.
-    """
-    scan = Scan(Path(path))
-    with closing(scan.records()) as records:
-        for record in records:
-            if isinstance(record, Attachment) and record.name == name:
-                return record.data
-    raise LogError(f"log '{path}': has no attachment '{name}'; it has: {quoted_names(scan.attachments)}")
-
-
-def _join(batches: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def _join(batches: list[Columns]) -> Columns:
     """Empties the batches, so that a column's pieces are released as soon as the whole column is there."""
     if not batches:
         return empty_columns()

@@ -1,8 +1,11 @@
-"""What a log holds: one table of columns, and the protobuf messages that follow from it.
+"""What a log holds: one table of columns and two small messages, and the protobuf schemas that follow from them.
 
 Shape letters: `T` transitions in a message, `R` rays of the distance sensor.
 """
 
+import dataclasses
+import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -12,11 +15,15 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-FORMAT_VERSION = 1
-TOPIC = "/transitions"
-MESSAGE_NAME = "carrl.Transitions"
-METADATA_NAME = "carrl"
-TIME_BASE = "log_time and publish_time are simulated nanoseconds since the start of the run"
+from carrl.record.messages import Episode, Metrics
+
+FORMAT_VERSION = 2
+TRANSITIONS, EPISODES, METRICS = "/transitions", "/episodes", "/metrics"
+METADATA_NAME, RECOVERY_NAME = "carrl", "carrl.recovery"
+TIME_BASE = (
+    "simulated nanoseconds since the start of the run; a batch's log_time is that of its last transition, "
+    "its publish_time that of its first"
+)
 
 RAYS = None
 """The width of a column that has one value a ray: free, but one and the same throughout a file."""
@@ -93,48 +100,95 @@ COLUMNS = (
     Column("epsilon", "epsilon", "<f4", "float32", (), "probability with which an action was drawn at random"),
     Column("exploratory", "exploratory", "|b1", "bool", (), "the action was drawn at random"),
     Column("track", "track", "<i4", "int64", (), "index of the track that the car was on, among the attached ones"),
+    Column(
+        "time_ns", "time_ns", "<i8", "int64", (), "simulated time before the action, since the start of the run, ns"
+    ),
 )
 
+SMALL_MESSAGES: Mapping[str, type[Episode] | type[Metrics]] = {EPISODES: Episode, METRICS: Metrics}
+"""What is logged one by one, by topic."""
 
-def _file_descriptor(*, wire_twin: bool) -> FileDescriptorProto:
-    fields = [
-        FieldDescriptorProto(
-            name="count", number=1, type=FieldDescriptorProto.TYPE_UINT32, label=FieldDescriptorProto.LABEL_OPTIONAL
-        )
-    ]
-    for number, column in enumerate(COLUMNS, start=2):
-        field = FieldDescriptorProto(name=column.name, number=number)
-        if wire_twin:
-            field.type, field.label = FieldDescriptorProto.TYPE_BYTES, FieldDescriptorProto.LABEL_OPTIONAL
-        else:
-            field.type, field.label = _PROTOBUF_TYPES[column.wire], FieldDescriptorProto.LABEL_REPEATED
-            field.options.packed = True
-        fields.append(field)
-    package, name = MESSAGE_NAME.split(".")
-    message = DescriptorProto(name=name, field=fields)
-    return FileDescriptorProto(name="carrl/transitions.proto", package=package, syntax="proto3", message_type=[message])
+MESSAGE_NAMES: Mapping[str, str] = {
+    TRANSITIONS: "carrl.Transitions",
+    EPISODES: "carrl.Episode",
+    METRICS: "carrl.Metrics",
+}
+"""The protobuf message of each topic."""
+
+CHANNELS: Mapping[str, int] = {topic: number for number, topic in enumerate(MESSAGE_NAMES, start=1)}
+"""The number of each topic's channel, the same in every log, so that a chunk alone tells what is in it."""
+
+FIRST_COLUMN_FIELD = 4
+"""Number of the first column's field; before it come the fields of a whole batch."""
+
+_BATCH_FIELDS = {
+    "run": FieldDescriptorProto.TYPE_FIXED64,
+    "offset": FieldDescriptorProto.TYPE_UINT64,
+    "count": FieldDescriptorProto.TYPE_UINT32,
+}
+_SMALL_TYPES = {
+    int: FieldDescriptorProto.TYPE_INT64,
+    float: FieldDescriptorProto.TYPE_DOUBLE,
+    tuple: FieldDescriptorProto.TYPE_DOUBLE,
+    typing.Literal: FieldDescriptorProto.TYPE_STRING,
+}
 
 
-def schema_bytes() -> bytes:
-    """The FileDescriptorSet that goes into the file, so that any protobuf reader can decode the messages."""
-    descriptors = FileDescriptorSet(file=[_file_descriptor(wire_twin=False)])
+def schema_bytes(topic: str) -> bytes:
+    """The FileDescriptorSet that goes into the file, so that any protobuf reader can decode the topic's messages."""
+    descriptors = FileDescriptorSet(file=[_file_descriptor(topic, wire_twin=False)])
     return bytes(descriptors.SerializeToString(deterministic=True))
 
 
 @cache
-def wire_class() -> type[Any]:
-    """The message class that this code fills and parses: `bytes` where the file's schema says packed repeated numbers.
+def message_class(topic: str) -> type[Any]:
+    """The message class that this code fills and parses.
 
-    Both have the same bytes on the wire (length, then little-endian values), so a column is one `tobytes()` or one
-    `frombuffer` instead of a Python object for each value. `test_a_generic_protobuf_reader_decodes_the_same_numbers`
-    pins it.
+    Of transitions it has `bytes` where the file's schema says packed repeated numbers. Both have the same bytes on the
+    wire (length, then little-endian values), so a column is one `tobytes()` or one `frombuffer` instead of a Python
+    object for each value. `test_a_generic_protobuf_reader_decodes_the_same_numbers` pins it.
     """
     pool = DescriptorPool()
-    pool.Add(_file_descriptor(wire_twin=True))
-    wire: type[Any] = GetMessageClass(pool.FindMessageTypeByName(MESSAGE_NAME))
-    return wire
+    pool.Add(_file_descriptor(topic, wire_twin=True))
+    found: type[Any] = GetMessageClass(pool.FindMessageTypeByName(MESSAGE_NAMES[topic]))
+    return found
 
 
 def empty_columns() -> dict[str, np.ndarray]:
     """No transitions at all, each column with its loaded type; columns of rays have width 0, for nobody wrote it."""
     return {column.name: np.zeros((0, *(extent or 0 for extent in column.shape)), column.dtype) for column in COLUMNS}
+
+
+def _file_descriptor(topic: str, *, wire_twin: bool) -> FileDescriptorProto:
+    fields = _transition_fields(wire_twin) if topic == TRANSITIONS else _small_fields(SMALL_MESSAGES[topic])
+    package, name = MESSAGE_NAMES[topic].split(".")
+    message = DescriptorProto(name=name, field=fields)
+    return FileDescriptorProto(name=f"carrl{topic}.proto", package=package, syntax="proto3", message_type=[message])
+
+
+def _transition_fields(wire_twin: bool) -> list[FieldDescriptorProto]:
+    fields = [_field(number, name, kind) for number, (name, kind) in enumerate(_BATCH_FIELDS.items(), start=1)]
+    for number, column in enumerate(COLUMNS, start=FIRST_COLUMN_FIELD):
+        if wire_twin:
+            fields.append(_field(number, column.name, FieldDescriptorProto.TYPE_BYTES))
+        else:
+            fields.append(_field(number, column.name, _PROTOBUF_TYPES[column.wire], repeated=True))
+    return fields
+
+
+def _small_fields(small: type[Episode] | type[Metrics]) -> list[FieldDescriptorProto]:
+    """One field for each of the dataclass, after that of the run."""
+    fields = [_field(1, "run", FieldDescriptorProto.TYPE_FIXED64)]
+    hints = typing.get_type_hints(small)
+    for number, attribute in enumerate(dataclasses.fields(small), start=2):
+        hint = typing.get_origin(hints[attribute.name]) or hints[attribute.name]
+        fields.append(_field(number, attribute.name, _SMALL_TYPES[hint], repeated=hint is tuple))
+    return fields
+
+
+def _field(number: int, name: str, kind: FieldDescriptorProto.Type, repeated: bool = False) -> FieldDescriptorProto:
+    label = FieldDescriptorProto.LABEL_REPEATED if repeated else FieldDescriptorProto.LABEL_OPTIONAL
+    field = FieldDescriptorProto(number=number, name=name, type=kind, label=label)
+    if repeated:
+        field.options.packed = True
+    return field

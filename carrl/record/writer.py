@@ -1,115 +1,163 @@
-"""Writes a run's transitions to an MCAP file, one message a batch.
+"""Writes a run's log: transitions in batches, ended episodes, metrics.
 
 Shape letters: `T` transitions in a batch.
 """
 
 import contextlib
-import math
+import secrets
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from mcap.writer import CompressionType, Writer
+import numpy as np
+from mcap.records import Message
 
 from carrl.errors import LogError
-from carrl.record.codec import check_row_shapes, encode, pieces, row_shapes
+from carrl.record.codec import Batch, Columns, check_row_shapes, encode_small, pieces, row_shapes
 from carrl.record.layout import columns_of
-from carrl.record.schema import (
-    COLUMNS,
-    FORMAT_VERSION,
-    MESSAGE_NAME,
-    METADATA_NAME,
-    TIME_BASE,
-    TOPIC,
-    schema_bytes,
-)
+from carrl.record.mcap_file import McapFile
+from carrl.record.messages import Episode, Metrics
+from carrl.record.metadata import describe
+from carrl.record.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METADATA_NAME, METRICS, TRANSITIONS, schema_bytes
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
 FLUSH_INTERVAL_S = 1.0
-"""Wall time after which the chunk in progress goes to disk."""
+"""Wall time after which what is held back goes to disk with the next batch."""
+CHUNK_BYTES = 2**20
+"""How many bytes of messages are held back, to be compressed together."""
+MIN_FILE_BYTES = 2**20
+"""The least size at which a log may be told to go on in another file."""
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".csv": "text/csv", ".txt": "text/plain"}
 
 
-class TransitionWriter:
+class LogWriter:
     """A log being written; use it in a `with` statement, or call `close` at the end.
 
-    Attachments and metadata are on disk before the constructor returns. The transitions are compressed in chunks; a
+    Attachments and metadata are on disk before the constructor returns. Everything else is compressed in chunks; a
     chunk goes to disk when it is full (1 MiB), or with the first batch that comes 1 s or more after the last flush.
+    Ended episodes and metrics have chunks of their own, so that they can be listed without unpacking a transition.
 
     Args:
         path: the file to write; an existing file is replaced.
+        envs: log the transitions of the cars 0 to `envs` - 1 only; None for all.
+        every_nth_episode: log the transitions of the episodes 0, n, 2n and so on only.
+        max_file_bytes: size after which the log goes on in another file, `train-1.mcap` after `train.mcap`; None for
+            one file of any size.
         attachments: whole files to keep in the log, by name, such as `config.yaml` and `track.json`.
-        metadata: what else to say about the run; the keys `format_version`, `time_base` and `column.*` are taken.
+        metadata: what else to say about the run; the keys that the format has itself are taken.
 
     Raises:
-        LogError: the file cannot be written, or `metadata` uses a taken key.
+        LogError: the file cannot be written, `metadata` uses a taken key, or a value is out of its range.
     """
 
-    def __init__(self, path: str | Path, *, attachments: Mapping[str, bytes], metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        envs: int | None = None,
+        every_nth_episode: int = 1,
+        max_file_bytes: int | None = None,
+        *,
+        attachments: Mapping[str, bytes],
+        metadata: Mapping[str, str],
+    ) -> None:
         """Creates the file with its attachments and metadata."""
-        self.path = Path(path)
+        self._first_path = Path(path)
+        _check_range("envs", envs, 1)
+        _check_range("every_nth_episode", every_nth_episode, 1)
+        _check_range("max_file_bytes", max_file_bytes, MIN_FILE_BYTES)
+        self._envs, self._every_nth_episode, self._max_file_bytes = envs, every_nth_episode, max_file_bytes
+        self._run = secrets.randbits(63)
+        self._attachments, self._metadata = dict(attachments), dict(metadata)
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
-        self._messages_written = 0
-        described = _describe(self.path, metadata)
-        try:
-            self._file = open(self.path, "wb")  # noqa: SIM115 (closed in close)
-        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-            raise self._unwritable(error) from error
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        with self._closing_on_failure():
-            self._start(attachments, described)
+        self._last_time = 0
+        self._part = 0
+        self._begin_file()
+
+    @property
+    def path(self) -> Path:
+        """The file being written."""
+        return part_path(self._first_path, self._part)
 
     @property
     def closed(self) -> bool:
         """Whether the file is closed, by `close` or by a failure."""
         return self._file.closed
 
-    def write(self, transitions: "TensorDictBase", time_s: float) -> None:
+    def write(self, transitions: "TensorDictBase") -> None:
         """Appends a batch of transitions; an empty one leaves no trace.
 
         Args:
-            transitions: batch size [T], with every key of `carrl.record.schema.COLUMNS`; other keys are left out.
-            time_s: simulated time since the start of the run, s, of the whole batch.
+            transitions: batch size [T], with every key of `carrl.record.schema.COLUMNS`; other keys are left out. Their
+                times must not decrease, nor lie before those of an earlier batch.
 
         Raises:
             LogError: the log is closed, the disk fails, or the batch does not fit the table of columns.
         """
-        if self.closed:
-            raise LogError(f"log '{self.path}': it is closed; write before close(), or open another log")
+        self._check_open()
         try:
-            log_time = _nanoseconds(time_s)
             columns = columns_of(transitions)
+            if len(columns["time_ns"]) == 0:
+                return
             check_row_shapes(columns, self._row_shapes or row_shapes(columns))
-            messages = [encode(piece) for piece in pieces(columns)]
+            self._check_times(columns["time_ns"])
+            if self._max_file_bytes is not None and self._file.size >= self._max_file_bytes:
+                self._go_on_in_another_file()
+            batches = self._batches(self._subset(columns))
+            messages = [(batch.encode(), batch.columns["time_ns"]) for batch in batches]
         except ValueError as error:
             raise LogError(f"log '{self.path}': {error}") from error
-        if not messages:
-            return
-        self._row_shapes = row_shapes(columns)
+        self._row_shapes, self._last_time = row_shapes(columns), int(columns["time_ns"][-1])
+        self._offset += sum(batch.count for batch in batches)
         with self._closing_on_failure():
-            for message in messages:
-                self._append(message, log_time)
-            if time.monotonic() - self._flushed_at >= FLUSH_INTERVAL_S:
-                self.flush()
+            for content, times in messages:
+                self._hold(TRANSITIONS, content, publish_time=int(times[0]), log_time=int(times[-1]))
+        if time.monotonic() - self._flushed_at >= FLUSH_INTERVAL_S:
+            self.flush()
+
+    def write_episode(self, episode: Episode) -> None:
+        """Notes an episode that has ended.
+
+        Raises:
+            LogError: the log is closed, or the disk fails.
+        """
+        self._hold_small(EPISODES, episode, episode.end_ns)
+
+    def write_metrics(self, metrics: Metrics) -> None:
+        """Notes how learning goes, at the time of the last transition written.
+
+        Raises:
+            LogError: the log is closed, or the disk fails.
+        """
+        self._hold_small(METRICS, metrics, self._last_time)
 
     def flush(self) -> None:
-        """Hands everything written so far to the operating system, where it outlives this process."""
+        """Hands everything written so far to the operating system, where it outlives this process.
+
+        Raises:
+            LogError: the disk fails.
+        """
         if self.closed:
             return
         with self._closing_on_failure():
-            self._writer.flush()
+            self._write_held()
         self._flushed_at = time.monotonic()
 
     def close(self) -> None:
-        """Completes the file with its index and closes it; a second call does nothing."""
+        """Completes the file with its index and closes it; a second call does nothing.
+
+        Raises:
+            LogError: the disk fails.
+        """
         if self.closed:
             return
         with self._closing_on_failure():
-            self._writer.finish()
+            self._write_held()
+            self._file.finish()
             self._file.close()
 
     def __enter__(self) -> Self:
@@ -122,27 +170,86 @@ class TransitionWriter:
         """Completes the file, also after an error: the transitions up to it are worth keeping."""
         self.close()
 
-    def _start(self, attachments: Mapping[str, bytes], metadata: dict[str, str]) -> None:
-        self._writer.start()
-        self._writer.add_metadata(METADATA_NAME, metadata)
-        for name, content in attachments.items():
-            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            self._writer.add_attachment(0, 0, name, media_type, content)
-        schema_id = self._writer.register_schema(MESSAGE_NAME, "protobuf", schema_bytes())
-        self._channel_id = self._writer.register_channel(TOPIC, "protobuf", schema_id)
-        self.flush()
+    def _begin_file(self) -> None:
+        """Everything that counts within a file begins anew."""
+        metadata = describe(self._run, self._part, self._metadata, self._attachments)
+        self._held: dict[str, list[Message]] = {topic: [] for topic in MESSAGE_NAMES}
+        self._held_bytes = self._offset = 0
+        self._sequences: Counter[str] = Counter()
+        try:
+            self._file = begin_log(self.path, metadata, self._attachments)
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+            raise self._unwritable(error) from error
+        self._flushed_at = time.monotonic()
 
-    def _append(self, message: bytes, log_time: int) -> None:
-        self._writer.add_message(self._channel_id, log_time, message, log_time, self._messages_written)
-        self._messages_written += 1
+    def _go_on_in_another_file(self) -> None:
+        self.close()
+        self._part += 1
+        self._begin_file()
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise LogError(f"log '{self.path}': it is closed; write before close(), or open another log")
+
+    def _check_times(self, times: np.ndarray) -> None:
+        if times[0] < self._last_time or (times[1:] < times[:-1]).any():
+            raise ValueError(f"column 'time_ns' decreases, or begins before {self._last_time}, where the log is")
+
+    def _subset(self, columns: Columns) -> Columns:
+        if self._envs is None and self._every_nth_episode == 1:
+            return columns
+        wanted = columns["episode"] % self._every_nth_episode == 0
+        if self._envs is not None:
+            wanted &= columns["env"] < self._envs
+        return {name: values[wanted] for name, values in columns.items()}
+
+    def _batches(self, columns: Columns) -> list[Batch]:
+        batches, offset = [], self._offset
+        for piece in pieces(columns):
+            batches.append(Batch(self._run, offset, piece))
+            offset += batches[-1].count
+        return batches
+
+    def _hold_small(self, topic: str, message: Episode | Metrics, log_time: int) -> None:
+        self._check_open()
+        with self._closing_on_failure():
+            self._hold(topic, encode_small(topic, self._run, message), publish_time=log_time, log_time=log_time)
+
+    def _hold(self, topic: str, content: bytes, *, publish_time: int, log_time: int) -> None:
+        """Keeps a message until enough are there to be compressed together."""
+        self._held[topic].append(
+            Message(
+                channel_id=CHANNELS[topic],
+                log_time=log_time,
+                publish_time=publish_time,
+                sequence=self._sequences[topic] % 2**32,
+                data=content,
+            )
+        )
+        self._sequences[topic] += 1
+        self._held_bytes += len(content)
+        if self._held_bytes >= CHUNK_BYTES:
+            self._write_held()
+
+    def _write_held(self) -> None:
+        """Writes a chunk of transitions, and one of all else."""
+        transitions = self._held[TRANSITIONS]
+        others = [message for topic, held in self._held.items() if topic != TRANSITIONS for message in held]
+        for messages in (transitions, others):
+            if messages:
+                self._file.add_chunk(messages)
+        self._held = {topic: [] for topic in MESSAGE_NAMES}
+        self._held_bytes = 0
 
     @contextlib.contextmanager
     def _closing_on_failure(self) -> Iterator[None]:
         try:
             yield
-        except BaseException as error:  # also Ctrl-C: a record may be half written, and nothing may follow it
-            with contextlib.suppress(OSError):  # closing flushes, which fails for the same reason
-                self._file.close()
+        except BaseException as error:  # also Ctrl-C
+            with contextlib.suppress(OSError):  # a full disk may have no room for the summary either
+                if not self._file.closed:
+                    self._file.finish()
+            self._file.close()
             if isinstance(error, OSError):
                 raise self._unwritable(error) from error
             raise
@@ -154,16 +261,31 @@ class TransitionWriter:
         )
 
 
-def _describe(path: Path, metadata: Mapping[str, str]) -> dict[str, str]:
-    own = {"format_version": str(FORMAT_VERSION), "time_base": TIME_BASE}
-    own |= {f"column.{column.name}": column.description for column in COLUMNS}
-    taken = sorted(own.keys() & metadata.keys())
-    if taken:
-        raise LogError(f"log '{path}': metadata key '{taken[0]}' is the format's own; choose another key")
-    return {**own, **metadata}
+def begin_log(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> McapFile:
+    """A file with all that a log has before its first chunk.
+
+    Raises:
+        OSError, ValueError: the file cannot be written.
+    """
+    file = McapFile(path)
+    try:
+        file.add_metadata(METADATA_NAME, metadata)
+        for name, content in attachments.items():
+            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+            file.add_attachment(name, media_type, content)
+        for topic, name in MESSAGE_NAMES.items():
+            file.add_channel(topic, name, schema_bytes(topic))
+    except BaseException:
+        file.close()
+        raise
+    return file
 
 
-def _nanoseconds(time_s: float) -> int:
-    if not (math.isfinite(time_s) and 0 <= time_s < 2**63 / 1e9):
-        raise ValueError(f"time_s is {time_s}; it must be the simulated seconds since the start of the run, 0 or more")
-    return round(time_s * 1e9)
+def part_path(first: Path, part: int) -> Path:
+    """The file in which a log goes on: `train.mcap`, `train-1.mcap`, `train-2.mcap` and so on."""
+    return first.with_stem(f"{first.stem}-{part}") if part else first
+
+
+def _check_range(name: str, value: int | None, least: int) -> None:
+    if value is not None and value < least:
+        raise LogError(f"recorder.{name} is {value}; it must be at least {least}")

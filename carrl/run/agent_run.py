@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from carrl.errors import CarrlError
-from carrl.run.episodes import Episode
+from carrl.record.messages import Episode
 from carrl.run.evaluation import Drive
 from carrl.run.folder import RunFolder
 from carrl.run.learner import Agent

@@ -13,7 +13,6 @@ import csv
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,10 +21,10 @@ import yaml
 from tensordict import TensorDictBase
 
 from carrl.errors import CarrlError, CheckpointError
-from carrl.record.writer import TransitionWriter
+from carrl.record.messages import Episode, Metrics
+from carrl.record.writer import LogWriter
 from carrl.run.build import build_network, observes_action
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
-from carrl.run.episodes import Episode
 from carrl.run.evaluation import Drive, Policy, greedy_policy
 from carrl.run.moment import Moment
 
@@ -37,13 +36,15 @@ SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 LAP = "lap.png"
 _CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
+EPISODE_FIGURES = ("episode", "frame", "env", "episode_return", "length", "gates", "laps", "ended")
+"""What `metrics.csv` tells of an episode."""
 MAX_TEXT_BYTES = 64 * 2**20
 
 
 class RunFolder:
     """The folder of a run in progress; use it in a `with` statement, so that its files are completed."""
 
-    def __init__(self, path: Path, recorder: TransitionWriter | None = None) -> None:
+    def __init__(self, path: Path, recorder: LogWriter | None = None) -> None:
         """Opens the tables.
 
         Raises:
@@ -67,16 +68,29 @@ class RunFolder:
         if self._recorder is not None:
             self._recorder.close()
 
-    def record(self, transitions: TensorDictBase, time_s: float) -> None:
-        """Logs transitions [F] of the simulated time `time_s`, s."""
+    @property
+    def has_log(self) -> bool:
+        """Whether transitions are logged at all."""
+        return self._recorder is not None
+
+    def record(self, transitions: TensorDictBase, metrics: Metrics) -> None:
+        """Logs transitions [F], and how learning goes after them."""
         if self._recorder is not None:
-            self._recorder.write(transitions, time_s)
+            self._recorder.write(transitions)
+            self._recorder.write_metrics(metrics)
+
+    def flush(self) -> None:
+        """Hands what was logged to the operating system, where it outlives this process."""
+        if self._recorder is not None:
+            self._recorder.flush()
 
     def add_episode(self, episode: Episode, recent_return: float, moment: Moment) -> None:
-        """Adds a row to `metrics.csv`."""
+        """Logs an ended episode and adds a row to `metrics.csv`."""
+        if self._recorder is not None:
+            self._recorder.write_episode(episode)
         self._metrics.append(
             {
-                **asdict(episode),
+                **{name: getattr(episode, name) for name in EPISODE_FIGURES},
                 "mean_return_20": round(recent_return, 3),
                 "epsilon": round(moment.epsilon, 6),
                 "loss": moment.loss,

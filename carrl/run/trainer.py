@@ -11,19 +11,22 @@ from tensordict import TensorDictBase
 
 import carrl
 from carrl.data.replay_buffer import KEYS
+from carrl.record.messages import Metrics
 from carrl.record.schema import COLUMNS
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Pipeline
 from carrl.run.episodes import EpisodeTracker
 from carrl.run.evaluation import drive_from
 from carrl.run.folder import RunFolder
+from carrl.run.metrics import mean_action_value, td_error
 from carrl.run.moment import Moment
 
 LOGGED_TOGETHER = 2048
 """Env steps of each agent after which they are logged."""
 LOGGED_WITHIN_S = 1.0
 """Wall time after which they are logged, if they are fewer."""
-LOGGED_KEYS = [column.key for column in COLUMNS]
+LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)))
+"""The log's columns, and what the loss reads besides."""
 
 
 class Trainer:
@@ -42,13 +45,13 @@ class Trainer:
         self._pipeline = pipeline
         agents = pipeline.agents
         cars = pipeline.env.batch_size[0] // len(agents)
-        self._tracker = EpisodeTracker(len(agents), cars, pipeline.env.track.gate_count)
+        time_step = pipeline.env.simulator.vehicle.time_step
+        self._tracker = EpisodeTracker(len(agents), cars, pipeline.env.track.gate_count, time_step)
         self._began = time.monotonic()
         self._stopping = False
         self._evaluated_at = 0
         self._unlogged: list[TensorDictBase] = []
-        self._logged = 0
-        self._logs_due = self._began + LOGGED_WITHIN_S
+        self._logged, self._logged_at = 0, self._began
         self.runs = [AgentRun(agent, folder) for agent, folder in zip(agents, folders, strict=True)]
         self._active = dict(enumerate(self.runs))
 
@@ -101,8 +104,11 @@ class Trainer:
         by_agent = batch.view(len(self.runs), -1, batch.shape[1]).permute(2, 1, 0).flatten(0, 1)
         self._pipeline.replay_buffer.extend(by_agent.select(*KEYS))
         self._unlogged.append(by_agent.select(*LOGGED_KEYS).clone())
-        if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logs_due:
+        if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
             self._log()
+        if self._learns_for_the_first_time():
+            self._log()
+            self._flush()
         self._pipeline.learner.learn(len(by_agent))
         self._pipeline.exploration.step(len(by_agent))
         losses = self._pipeline.learner.losses.tolist()
@@ -112,15 +118,40 @@ class Trainer:
         if self.frames // interval > frames_before // interval:
             self._evaluate()
 
+    def _learns_for_the_first_time(self) -> bool:
+        """Whether the next call of `learn` makes the first update, and compiles it, which can take half a minute."""
+        buffer = self._pipeline.replay_buffer
+        return self._pipeline.learner.updates == 0 and len(buffer) >= buffer.batch_size
+
     def _log(self) -> None:
         """Logs the transitions since the last call, many at once, which costs little more than a few."""
         if not self._unlogged:
             return
-        transitions, begin = torch.cat(self._unlogged), self._simulated_time(self._logged)
-        self._unlogged, self._logged = [], self.frames  # first, for nothing is logged again after a failure
-        self._logs_due = time.monotonic() + LOGGED_WITHIN_S
+        transitions = torch.cat(self._unlogged)
+        now, frames = time.monotonic(), self.frames - self._logged
+        rate = frames / (now - self._logged_at)
+        self._unlogged, self._logged, self._logged_at = [], self.frames, now  # nothing is logged again after a failure
+        losses = self._pipeline.learner.losses.tolist()
         for index, run in self._active.items():
-            run.folder.record(transitions[:, index], begin)
+            if not run.folder.has_log:
+                continue
+            of_agent = transitions[:, index]
+            run.folder.record(of_agent, self._metrics(run, of_agent, losses[index], rate))
+
+    def _metrics(self, run: AgentRun, transitions: TensorDictBase, loss: float, frames_per_second: float) -> Metrics:
+        return Metrics(
+            frame=self.frames,
+            updates=self._pipeline.learner.updates,
+            loss=loss,
+            td_error=td_error(run.agent, transitions),
+            action_value=mean_action_value(transitions),
+            epsilon=self._pipeline.exploration.epsilon,
+            frames_per_second=frames_per_second,
+        )
+
+    def _flush(self) -> None:
+        for run in self._active.values():
+            run.folder.flush()
 
     def _moment(self, loss: float) -> Moment:
         pipeline = self._pipeline
@@ -149,8 +180,3 @@ class Trainer:
             self._log()
         for index in over:
             del self._active[index]
-
-    def _simulated_time(self, frames: int) -> float:
-        """Simulated seconds since the start of the run, during which N cars did this many env steps."""
-        env = self._pipeline.env
-        return frames * len(self.runs) / env.batch_size[0] * env.simulator.vehicle.time_step

@@ -10,7 +10,7 @@ import torch
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 from carrl.log import load
-from carrl.record.writer import TransitionWriter
+from carrl.record.writer import LogWriter
 from carrl.run.build import build_pipeline
 from carrl.run.folder import RunFolder
 from carrl.run.plan import TrainingPlan
@@ -27,7 +27,7 @@ def train(folder, *overrides):
         for agent in pipeline.agents:
             path = folder / str(agent.seed) if len(pipeline.agents) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)
-            recorder = TransitionWriter(path / "train.mcap", attachments={}, metadata={})
+            recorder = LogWriter(path / "train.mcap", attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
         trainer.run(lambda _: None)

@@ -1,0 +1,142 @@
+"""MCAP records from bytes that nobody vouches for; whatever is wrong with them comes out as one ValueError.
+
+Source: the MCAP specification, https://mcap.dev/spec.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    McapRecord,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+MAX_CHUNK_BYTES = 64 * 2**20
+"""The largest chunk that is unpacked; the writer's stay below 1 + 8 MiB."""
+
+HEAD = struct.Struct("<BQ")
+"""What every record begins with: its opcode and the length of its body."""
+
+_MESSAGE_FIELDS = struct.Struct("<HIQQ")
+_KINDS = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA: Metadata,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.STATISTICS: Statistics,
+}
+
+
+def parse(opcode: int, body: bytes) -> McapRecord | None:
+    """The record, an attachment's own CRC checked; None if it is of a kind that a log's reader does without.
+
+    Raises:
+        ValueError: the body is not that of such a record.
+    """
+    kind = _KINDS.get(opcode)  # type: ignore[call-overload]  # an opcode is any number here
+    if kind is None:
+        return None
+    if kind is Attachment:
+        check_crc("an attachment", body[-4:], zlib.crc32(body[:-4]))
+    try:
+        record: McapRecord = kind.read(ReadDataStream(BytesIO(body)))
+    except Exception as error:  # mcap's parsers raise whatever the bytes lead them to
+        raise ValueError(f"a record of kind {kind.__name__} cannot be read") from error
+    return record
+
+
+def records_in(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yields (opcode, body) of each record in a chunk or a summary.
+
+    Raises:
+        ValueError: a record does not fit.
+    """
+    position = 0
+    while position < len(content):
+        if position + HEAD.size > len(content):
+            raise ValueError(f"{len(content) - position} bytes after the last record")
+        opcode, length = HEAD.unpack_from(content, position)
+        position += HEAD.size
+        if length > len(content) - position:
+            raise ValueError(f"a record of {length} bytes does not fit")
+        yield opcode, content[position : position + length]
+        position += length
+
+
+def unpack(chunk: Chunk) -> bytes:
+    """What a chunk holds, its CRC checked.
+
+    Raises:
+        ValueError: it is packed in another way than zstd, too large, or damaged.
+    """
+    if chunk.compression not in ("", "zstd"):
+        raise ValueError(f"a chunk is packed with {chunk.compression!r:.20}; only zstd or nothing can be read")
+    sizes = [chunk.uncompressed_size]
+    if chunk.compression == "zstd":
+        sizes.append(_frame_size(chunk.data))  # -1: not stored, then the size above is the limit
+    if max(sizes) > MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk claims {max(sizes)} bytes; the limit is {MAX_CHUNK_BYTES}")
+    content = _decompress(chunk) if chunk.compression else chunk.data
+    check_crc("a chunk", struct.pack("<I", chunk.uncompressed_crc), zlib.crc32(content))
+    return content
+
+
+def messages_in(content: bytes) -> Iterator[Message]:
+    """Yields the messages of an unpacked chunk.
+
+    Raises:
+        ValueError: a record does not fit.
+    """
+    for opcode, body in records_in(content):
+        if opcode == Opcode.MESSAGE:
+            if len(body) < _MESSAGE_FIELDS.size:
+                raise ValueError(f"a message of {len(body)} bytes")
+            channel_id, sequence, log_time, publish_time = _MESSAGE_FIELDS.unpack_from(body)
+            yield Message(
+                channel_id=channel_id,
+                sequence=sequence,
+                log_time=log_time,
+                publish_time=publish_time,
+                data=body[_MESSAGE_FIELDS.size :],
+            )
+
+
+def check_crc(what: str, stored: bytes, computed: int) -> None:
+    """Raises a ValueError where a stored CRC is another than the computed one; 0 stands for none."""
+    if len(stored) != 4:
+        raise ValueError(f"{what} has no CRC")
+    [expected] = struct.unpack("<I", stored)
+    if expected not in (0, computed):
+        raise ValueError(f"{what} has CRC {computed:#010x}, but {expected:#010x} was stored")
+
+
+def _frame_size(data: bytes) -> int:
+    try:
+        return zstandard.frame_content_size(data)
+    except zstandard.ZstdError as error:
+        raise ValueError("a chunk is not what zstd writes") from error
+
+
+def _decompress(chunk: Chunk) -> bytes:
+    try:
+        return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    except zstandard.ZstdError as error:
+        raise ValueError("a chunk cannot be unpacked") from error

@@ -1,0 +1,149 @@
+"""What a log says of the world that was driven in: sensors, car, tracks; as NumPy arrays, without torch.
+
+Shapes: `P` points of a centreline, `S` walls, `G` gates, `R` rays, `A` actions. Lengths are in metres, angles in
+radians counter-clockwise from +x, or from the heading.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackShape:
+    """A track as it was attached to the log.
+
+    Attributes:
+        name: the track's.
+        length: of the centreline, m.
+        centreline: [P, 2], m, closed, in driving order; point 0 is the start.
+        walls: pairs of end points, [S, 2, 2], m.
+        gates: (left end, right end) in driving order, the last one the start line, [G, 2, 2], m.
+    """
+
+    name: str
+    length: float
+    centreline: Floats
+    walls: Floats
+    gates: Floats
+
+    @staticmethod
+    def from_json(content: bytes) -> "TrackShape":
+        """Reads the attachment `track.json`.
+
+        Raises:
+            ValueError: it does not describe a track.
+        """
+        try:
+            document = json.loads(content)
+            name, length = document["name"], float(document["length"])
+            arrays = [np.array(document[key], dtype=np.float64) for key in ("centreline", "walls", "gates")]
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise ValueError("the attachment does not describe a track") from error
+        centreline, walls, gates = arrays
+        shapes = (centreline.shape[1:], walls.shape[1:], gates.shape[1:])
+        finite = all(np.isfinite(array).all() and len(array) for array in arrays) and length > 0
+        if not isinstance(name, str) or shapes != ((2,), (2, 2), (2, 2)) or not finite:
+            raise ValueError("the attachment does not describe a track")
+        return TrackShape(name, length, centreline, walls, gates)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least x, least y, greatest x, greatest y of the walls, m."""
+        points = self.walls.reshape(-1, 2)
+        return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What stays the same throughout a log.
+
+    Attributes:
+        action_names: what each action is called, A of them: forward, left, right.
+        reward_terms: what each term of the reward is called.
+        sensor_angles: directions of the rays from the heading, right to left, [R], rad.
+        sensor_range: distance at which a ray reads 1, m.
+        time_step: simulated seconds of a step, s.
+        body_radius: of the car's disc, m.
+        manoeuvres: how a step of each action moves the car: distance m, its bearing from the heading rad, and the
+            change of heading rad, [A, 3].
+        tracks: those that the column `track` counts.
+    """
+
+    action_names: tuple[str, ...]
+    reward_terms: tuple[str, ...]
+    sensor_angles: Floats
+    sensor_range: float
+    time_step: float
+    body_radius: float
+    manoeuvres: Floats
+    tracks: tuple[TrackShape, ...]
+
+    def entries(self) -> dict[str, str]:
+        """The scene without its tracks, as entries of a log's metadata; values that are no text are JSON."""
+        return {
+            "action_names": json.dumps(self.action_names),
+            "reward_terms": json.dumps(self.reward_terms),
+            "sensor_angles_rad": json.dumps(self.sensor_angles.tolist()),
+            "sensor_range_m": json.dumps(self.sensor_range),
+            "time_step_s": json.dumps(self.time_step),
+            "body_radius_m": json.dumps(self.body_radius),
+            "manoeuvres": json.dumps(self.manoeuvres.tolist()),
+        }
+
+    @staticmethod
+    def from_entries(entries: Mapping[str, str], tracks: Sequence[TrackShape]) -> "Scene":
+        """Reads what `entries` wrote.
+
+        Raises:
+            ValueError: an entry is missing or is not what it should be.
+        """
+        action_names = tuple(str(name) for name in _parsed(entries, "action_names", list))
+        return Scene(
+            action_names=action_names,
+            reward_terms=tuple(str(name) for name in _parsed(entries, "reward_terms", list)),
+            sensor_angles=_numbers(entries, "sensor_angles_rad", (None,)),
+            sensor_range=_positive(entries, "sensor_range_m"),
+            time_step=_positive(entries, "time_step_s"),
+            body_radius=_positive(entries, "body_radius_m"),
+            manoeuvres=_numbers(entries, "manoeuvres", (len(action_names), 3)),
+            tracks=tuple(tracks),
+        )
+
+
+def _parsed(entries: Mapping[str, str], key: str, kind: type | tuple[type, ...]) -> Any:
+    if key not in entries:
+        raise ValueError(f"its metadata has no entry '{key}'")
+    try:
+        found = json.loads(entries[key])
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"its metadata entry '{key}' is not JSON") from error
+    if not isinstance(found, kind):
+        raise ValueError(f"its metadata entry '{key}' is {found!r:.40}")
+    return found
+
+
+def _positive(entries: Mapping[str, str], key: str) -> float:
+    found = float(_parsed(entries, key, (int, float)))
+    if not 0 < found < math.inf:
+        raise ValueError(f"its metadata entry '{key}' is {found}; it must be positive")
+    return found
+
+
+def _numbers(entries: Mapping[str, str], key: str, shape: tuple[int | None, ...]) -> Floats:
+    """An array of this shape, in which None stands for any extent."""
+    try:
+        array = np.array(_parsed(entries, key, list), dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"its metadata entry '{key}' is no list of numbers") from error
+    wanted = tuple(size if want is None else want for want, size in zip(shape, array.shape, strict=False))
+    if array.ndim != len(shape) or wanted != array.shape or not np.isfinite(array).all():
+        raise ValueError(f"its metadata entry '{key}' has the shape {list(array.shape)}, or a value that is no number")
+    return array
