@@ -3,23 +3,26 @@
 Shape letters: `T` transitions in a message.
 """
 
-import dataclasses
 import math
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from google.protobuf.message import DecodeError
 
 from carrl.record.messages import Ended, Episode, Metrics
-from carrl.record.schema import COLUMNS, MESSAGE_NAMES, SMALL_MESSAGES, TRANSITIONS, Column, message_class
+from carrl.record.schema import COLUMNS, EPISODES, MESSAGE_NAMES, METRICS, SMALL_MESSAGES, TRANSITIONS, Column, message_class
 
 MAX_MESSAGE_BYTES = 8 * 2**20
 """A larger batch is written as several messages, so that a reader needs little memory for one."""
 
 Columns = dict[str, np.ndarray]
 """The columns of the table by name, each [T] or [T, width]."""
+
+_ENDS = typing.get_args(Ended)
+_SMALL_VALUES = {topic: attrgetter(*kind._fields) for topic, kind in SMALL_MESSAGES.items()}
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,7 @@ class Batch:
 
 def encode_small(topic: str, run: int, message: Episode | Metrics) -> bytes:
     """Serialises an ended episode or a message of metrics."""
-    fields = {field.name: getattr(message, field.name) for field in dataclasses.fields(message)}
-    return bytes(message_class(topic)(run=run, **fields).SerializeToString())
+    return bytes(message_class(topic)(run=run, **message._asdict()).SerializeToString())
 
 
 def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
@@ -81,13 +83,22 @@ def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
         ValueError: not a message of this topic's schema.
     """
     wire = _parse(topic, message)
-    kind = SMALL_MESSAGES[topic]
-    values = {field.name: getattr(wire, field.name) for field in dataclasses.fields(kind)}
-    if kind is Episode:
-        values["end_pose"] = tuple(values["end_pose"])
-        if values["ended"] not in typing.get_args(Ended) or len(values["end_pose"]) != 3:
-            raise ValueError(f"an episode ended by {values['ended']!r:.20} at {len(values['end_pose'])} coordinates")
-    return wire.run, kind(**values)
+    values = _SMALL_VALUES[topic](wire)
+    if topic == METRICS:
+        return wire.run, Metrics._make(values)
+    if wire.ended not in _ENDS or len(wire.end_pose) != 3:
+        raise ValueError(f"an episode ended by {wire.ended!r:.20} at {len(wire.end_pose)} coordinates")
+    return wire.run, Episode._make(values)._replace(end_pose=tuple(wire.end_pose))
+
+
+def episode_span(message: bytes) -> tuple[int, int, int]:
+    """Number, begin and end, ns, of an encoded episode, in a third of the time that decoding it takes.
+
+    Raises:
+        ValueError: not a message of an episode.
+    """
+    wire = _parse(EPISODES, message)
+    return wire.episode, wire.begin_ns, wire.end_ns
 
 
 def pieces(columns: Mapping[str, np.ndarray]) -> list[Columns]:

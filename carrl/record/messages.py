@@ -1,13 +1,11 @@
 """The small messages of a log: one for each ended episode, and one now and then about the learning."""
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Ended = Literal["collision", "time limit"]
 
 
-@dataclass(frozen=True, slots=True)
-class Episode:
+class Episode(NamedTuple):
     """One episode that has ended.
 
     Attributes:
@@ -21,7 +19,7 @@ class Episode:
         length: its steps.
         gates: gates passed.
         laps: complete laps, each of all gates.
-        ended: why.
+        ended: why, "collision" or "time limit".
         end_pose: where: x m, y m, heading rad.
     """
 
@@ -39,8 +37,7 @@ class Episode:
     end_pose: tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Metrics:
+class Metrics(NamedTuple):
     """How learning goes, once for each batch of transitions that is logged.
 
     Attributes:

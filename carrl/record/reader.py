@@ -16,7 +16,7 @@ import numpy as np
 from mcap.records import ChunkIndex, Message
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.record.codec import Batch, Columns, check_row_shapes, decode_small, row_shapes
+from carrl.record.codec import Batch, Columns, check_row_shapes, decode_small, episode_span, row_shapes
 from carrl.record.mcap_index import IndexedFile, damaged
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import is_intact
@@ -207,12 +207,15 @@ class Log:
                 yield dict(selected)
 
     def _small(self, topic: str) -> Iterator[Episode | Metrics]:
+        for message in self._raw(topic):
+            try:
+                yield decode_small(topic, message.data)[1]
+            except ValueError as error:
+                raise self._wrong(f"message {message.sequence} of {topic} is wrong: {error}") from error
+
+    def _raw(self, topic: str) -> Iterator[Message]:
         for chunk in self._chunks_with(topic):
-            for message in self._messages(chunk, topic):
-                try:
-                    yield decode_small(topic, message.data)[1]
-                except ValueError as error:
-                    raise self._wrong(f"message {message.sequence} of {topic} is wrong: {error}") from error
+            yield from self._messages(chunk, topic)
 
     def _decoded(self, chunks: Iterable[ChunkIndex]) -> Iterator[Batch]:
         for chunk in chunks:
@@ -247,10 +250,18 @@ class Log:
         wanted = selection.episodes
         if wanted is None:
             return [(begin, end)]
-        ended = [episode for episode in self.episodes() if episode.episode in wanted]
-        if len({episode.episode for episode in ended}) < len(set(wanted)):  # one that never ended may be anywhere
+        found = {number: span for number, *span in self._episode_spans() if number in wanted}
+        if len(found) < len(set(wanted)):  # one that never ended may be anywhere
             return [(begin, end)]
-        return [(max(begin, episode.begin_ns), min(end, episode.end_ns)) for episode in ended]
+        return [(max(begin, first), min(end, last)) for first, last in found.values()]
+
+    def _episode_spans(self) -> Iterator[tuple[int, int, int]]:
+        """Number, begin and end, ns, of each ended episode."""
+        for message in self._raw(EPISODES):
+            try:
+                yield episode_span(message.data)
+            except ValueError as error:
+                raise self._wrong(f"message {message.sequence} of {EPISODES} is wrong: {error}") from error
 
     def _end_batches(self) -> Iterator[Batch]:
         """The first and the last batch; one and the same if there is but one."""

@@ -3,7 +3,6 @@
 Shape letters: `T` transitions in a message, `R` rays of the distance sensor.
 """
 
-import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -177,12 +176,12 @@ def _transition_fields(wire_twin: bool) -> list[FieldDescriptorProto]:
 
 
 def _small_fields(small: type[Episode] | type[Metrics]) -> list[FieldDescriptorProto]:
-    """One field for each of the dataclass, after that of the run."""
+    """One field for each of the tuple, after that of the run."""
     fields = [_field(1, "run", FieldDescriptorProto.TYPE_FIXED64)]
     hints = typing.get_type_hints(small)
-    for number, attribute in enumerate(dataclasses.fields(small), start=2):
-        hint = typing.get_origin(hints[attribute.name]) or hints[attribute.name]
-        fields.append(_field(number, attribute.name, _SMALL_TYPES[hint], repeated=hint is tuple))
+    for number, name in enumerate(small._fields, start=2):
+        hint = typing.get_origin(hints[name]) or hints[name]
+        fields.append(_field(number, name, _SMALL_TYPES[hint], repeated=hint is tuple))
     return fields
 
 

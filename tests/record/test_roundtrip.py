@@ -103,3 +103,10 @@ def test_loaded_transitions_can_be_extended_into_another_batch(tmp_path, transit
     loaded = load(tmp_path / "a.mcap")
     assert isinstance(loaded, TensorDict)
     assert torch.cat([loaded, loaded]).batch_size == torch.Size([8])
+
+
+@pytest.mark.slow
+def test_a_million_transitions_come_back_bit_for_bit(tmp_path, transitions):
+    whole = transitions(1_000_000)
+    write(tmp_path / "a.mcap", *whole.split(2048))
+    assert_same_bits(load(tmp_path / "a.mcap"), whole)

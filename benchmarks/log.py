@@ -1,0 +1,168 @@
+"""`scripts/bench log`: how fast a log of driven transitions is written and read, and how much memory reading takes."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from benchmarks import figures
+from benchmarks.log_reading import READINGS
+from benchmarks.options import Parser, positive, tell
+from carrl.agent.network import make_q_network
+from carrl.env.track_env import TrackEnv
+from carrl.log import load
+from carrl.record.messages import Episode
+from carrl.record.schema import COLUMNS
+from carrl.record.writer import LogWriter
+from carrl.run.episodes import EpisodeTracker
+from carrl.run.evaluation import rule_policy
+
+HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")
+CARS = 64
+BATCH = 2048
+COPIES = 10
+"""How many times as many transitions the large log has."""
+EPSILON = 0.5
+"""With half of the actions drawn at random an episode lasts about as long as in the paper's run."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One row of the table; None where there is nothing to tell.
+
+    Attributes:
+        what: was done.
+        transitions: that it was done with.
+        seconds: of the processor.
+        bytes_each: size of the file for each transition.
+        peak_bytes: greatest resident memory of a process that does nothing else.
+    """
+
+    what: str
+    transitions: int
+    seconds: float
+    bytes_each: float | None = None
+    peak_bytes: int | None = None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measures and prints; returns 0, or 1 if what was loaded is not what was written."""
+    parser = Parser(prog="scripts/bench log", description=__doc__)
+    parser.add_argument("--transitions", type=positive(int), default=1_000_000, metavar="N")
+    parser.add_argument("--markdown", action="store_true", help="print a table for a page")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    tell(f"driving {arguments.transitions:,} transitions")
+    transitions, episodes = drive(int(arguments.transitions))
+    with tempfile.TemporaryDirectory() as folder:
+        rows, same = measure(Path(folder), transitions, episodes)
+    table = figures.markdown_table if arguments.markdown else figures.plain_table
+    print(table(HEADER, [_row(row) for row in rows]))
+    if not same:
+        print("what was loaded differs from what was written")
+    return int(not same)
+
+
+def drive(count: int) -> tuple[TensorDict, list[Episode]]:
+    """So many transitions of cars that the rule drives, with the values of an untrained network, and their episodes."""
+    env = TrackEnv("paper", num_envs=CARS, seed=0, random_start=True)
+    network = make_q_network([16, 16, 8], observation_size=7, action_count=3, generator=torch.Generator().manual_seed(0))
+    tracker = EpisodeTracker(1, CARS, env.track.gate_count, env.simulator.vehicle.time_step)
+    episodes: list[Episode] = []
+    steps = []
+    state = env.reset()
+    with torch.no_grad():
+        for _ in range(-(-count // CARS)):
+            step, state = env.step_and_maybe_reset(_choose(network(state), env))
+            batch = step[:, None]
+            episodes += tracker.follow(batch)[0]
+            steps.append(batch[:, 0].select(*(column.key for column in COLUMNS)))
+    return torch.cat(steps)[:count], episodes
+
+
+def _choose(state: Any, env: TrackEnv) -> Any:
+    """The rule's actions, and random ones with the marks that exploration leaves in a run."""
+    exploratory = torch.rand(CARS) < EPSILON
+    by_rule = rule_policy(state["observation"], state["last_action"])
+    state["action"] = torch.where(exploratory, env.rand_action()["action"], by_rule)
+    state["exploratory"] = exploratory
+    state["epsilon"] = torch.full((CARS,), EPSILON)
+    return state
+
+
+def measure(folder: Path, transitions: TensorDict, episodes: list[Episode]) -> tuple[list[Measurement], bool]:
+    """The rows of the table, and whether all that was loaded is bit for bit what was written."""
+    count = len(transitions)
+    log, large = folder / "log.mcap", folder / "large.mcap"
+    rows = [_timed("write and close", count, lambda: _write(log, transitions, episodes, copies=1), log)]
+    rows.append(_timed("load as a TensorDict", count, lambda: load(log)))
+    same = _equal(load(log), transitions)
+    tell(f"writing {COPIES * count:,} transitions")
+    rows.append(_timed("write and close", COPIES * count, lambda: _write(large, transitions, episodes, COPIES), large))
+    for verb in READINGS:
+        rows.append(_in_own_process(verb, COPIES * count, large))
+    return rows, same
+
+
+def _write(path: Path, transitions: TensorDict, episodes: list[Episode], copies: int) -> None:
+    span = int(transitions["time_ns"][-1]) + 100_000_000
+    numbers = int(transitions["episode"].max()) + 1
+    with LogWriter(path, attachments={}, metadata={}) as writer:
+        for copy in range(copies):
+            for batch in transitions.split(BATCH):
+                shifted = batch.copy()
+                shifted["time_ns"] = batch["time_ns"] + copy * span
+                shifted["episode"] = batch["episode"] + copy * numbers
+                writer.write(shifted)
+            for episode in _shifted(episodes, copy * numbers, copy * span):
+                writer.write_episode(episode)
+
+
+def _shifted(episodes: list[Episode], numbers: int, span: int) -> Iterator[Episode]:
+    for episode in episodes:
+        begin, end = episode.begin_ns + span, episode.end_ns + span
+        yield episode._replace(episode=episode.episode + numbers, begin_ns=begin, end_ns=end)
+
+
+def _equal(loaded: TensorDict, written: TensorDict) -> bool:
+    return all(
+        loaded[column.key].numpy().tobytes() == written[column.key].contiguous().numpy().tobytes() for column in COLUMNS
+    )
+
+
+def _timed(what: str, count: int, work: Callable[[], object], file: Path | None = None) -> Measurement:
+    began = time.process_time()
+    work()
+    seconds = time.process_time() - began
+    return Measurement(what, count, seconds, file.stat().st_size / count if file else None)
+
+
+def _in_own_process(verb: str, count: int, path: Path) -> Measurement:
+    """What `benchmarks.log_reading` says of reading in this way."""
+    finished = subprocess.run(
+        [sys.executable, "-m", "benchmarks.log_reading", verb, str(path)], capture_output=True, text=True, check=True
+    )
+    seconds, peak = finished.stdout.split()
+    return Measurement(verb, count, float(seconds), peak_bytes=int(peak))
+
+
+def _row(row: Measurement) -> list[str]:
+    return [
+        row.what,
+        f"{row.transitions:,}",
+        f"{row.seconds:.2f}",
+        f"{row.transitions / row.seconds:,.0f}",
+        "" if row.bytes_each is None else f"{row.bytes_each:.1f}",
+        "" if row.peak_bytes is None else f"{row.peak_bytes / 2**20:,.0f}",
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
