@@ -13,7 +13,16 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from carrl.record.messages import Ended, Episode, Metrics
-from carrl.record.schema import COLUMNS, EPISODES, MESSAGE_NAMES, METRICS, SMALL_MESSAGES, TRANSITIONS, Column, message_class
+from carrl.record.schema import (
+    COLUMNS,
+    EPISODES,
+    MESSAGE_NAMES,
+    METRICS,
+    SMALL_MESSAGES,
+    TRANSITIONS,
+    Column,
+    message_class,
+)
 
 MAX_MESSAGE_BYTES = 8 * 2**20
 """A larger batch is written as several messages, so that a reader needs little memory for one."""

@@ -131,11 +131,14 @@ class McapFile:
             )
         )
 
-    def add_channel(self, topic: str, schema_name: str, schema: bytes) -> None:
-        """Appends a topic of protobuf messages; the first one's channel has the number 1, and so on."""
+    def add_channel(self, topic: str, schema_name: str, schema: bytes, entries: Mapping[str, str]) -> None:
+        """Appends a topic of protobuf messages; the first one's channel has the number 1, and so on.
+
+        The entries are in the summary again, and so under its CRC.
+        """
         number = len(self._summary.channels) + 1
         of_messages = Schema(id=number, name=schema_name, encoding="protobuf", data=schema)
-        channel = Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata={})
+        channel = Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=dict(entries))
         self._append(_serialise(of_messages, channel))
         self._summary.schemas.append(of_messages)
         self._summary.channels.append(channel)

@@ -87,6 +87,18 @@ def unpack(chunk: Chunk) -> bytes:
     Raises:
         ValueError: it is packed in another way than zstd, too large, or damaged.
     """
+    unpacked_bytes(chunk)
+    content = _decompress(chunk) if chunk.compression else chunk.data
+    check_crc("a chunk", struct.pack("<I", chunk.uncompressed_crc), zlib.crc32(content))
+    return content
+
+
+def unpacked_bytes(chunk: Chunk) -> int:
+    """How many bytes a chunk holds at most.
+
+    Raises:
+        ValueError: it is packed in another way than zstd, too large, or damaged.
+    """
     if chunk.compression not in ("", "zstd"):
         raise ValueError(f"a chunk is packed with {chunk.compression!r:.20}; only zstd or nothing can be read")
     sizes = [chunk.uncompressed_size]
@@ -94,9 +106,7 @@ def unpack(chunk: Chunk) -> bytes:
         sizes.append(_frame_size(chunk.data))  # -1: not stored, then the size above is the limit
     if max(sizes) > MAX_CHUNK_BYTES:
         raise ValueError(f"a chunk claims {max(sizes)} bytes; the limit is {MAX_CHUNK_BYTES}")
-    content = _decompress(chunk) if chunk.compression else chunk.data
-    check_crc("a chunk", struct.pack("<I", chunk.uncompressed_crc), zlib.crc32(content))
-    return content
+    return max(sizes)
 
 
 def messages_in(content: bytes) -> Iterator[Message]:

@@ -19,7 +19,7 @@ from carrl.errors import DamagedLogError, LogError
 from carrl.record.codec import Batch, Columns, check_row_shapes, decode_small, episode_span, row_shapes
 from carrl.record.mcap_index import IndexedFile, damaged
 from carrl.record.messages import Episode, Metrics
-from carrl.record.metadata import is_intact
+from carrl.record.metadata import ATTACHMENT, content_checksum, is_intact
 from carrl.record.schema import (
     COLUMNS,
     EPISODES,
@@ -146,7 +146,10 @@ class Log:
         """The content of an attachment, such as `config.yaml` or `track.json`."""
         for entry in self._file.index.attachments:
             if entry.name == name:
-                return self._file.read_attachment(entry).data
+                content = self._file.read_attachment(entry).data
+                if content_checksum(content) != self.metadata.get(ATTACHMENT + name):
+                    raise damaged(self.path, f"its attachment {name!r:.40} is not the one that its metadata tells of")
+                return content
         raise LogError(f"log '{self.path}': has no attachment '{name}'; it has: {quoted_names(self.attachments)}")
 
     @property
@@ -209,7 +212,9 @@ class Log:
     def _small(self, topic: str) -> Iterator[Episode | Metrics]:
         for message in self._raw(topic):
             try:
-                yield decode_small(topic, message.data)[1]
+                run, small = decode_small(topic, message.data)
+                self._check_run(run)
+                yield small
             except ValueError as error:
                 raise self._wrong(f"message {message.sequence} of {topic} is wrong: {error}") from error
 
@@ -221,9 +226,15 @@ class Log:
         for chunk in chunks:
             for message in self._messages(chunk, TRANSITIONS):
                 try:
-                    yield Batch.decode(message.data)
+                    batch = Batch.decode(message.data)
+                    self._check_run(batch.run)
+                    yield batch
                 except ValueError as error:
                     raise self._wrong(f"message {message.sequence} is wrong: {error}") from error
+
+    def _check_run(self, run: int) -> None:
+        if f"{run:016x}" != self.metadata.get("run"):
+            raise ValueError("it is of another run than the metadata")
 
     def _messages(self, chunk: ChunkIndex, topic: str) -> Iterator[Message]:
         for message in self._file.messages(chunk):
@@ -293,6 +304,8 @@ class Log:
             if name is not None:
                 if kind != ("protobuf", "protobuf", name):
                     raise self._wrong(f"topic {channel.topic} has the schema {kind!r:.100}, not {name} in protobuf")
+                if channel.metadata.get("run", self.metadata.get("run")) != self.metadata.get("run"):
+                    raise damaged(self.path, "its metadata is that of another run")
                 topics[number] = channel.topic
         if TRANSITIONS not in topics.values():
             raise self._wrong(f"no topic {TRANSITIONS} among: {quoted_names(topics.values())}")

@@ -6,29 +6,23 @@ in another order, by the number of transitions before them.
 
 import json
 import mmap
-import re
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from uuid import uuid4
 
-from mcap.records import Attachment, Chunk, Message, Metadata
+from mcap.records import Attachment, Chunk, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.record.codec import Batch, decode_small
+from carrl.record.codec import row_shapes
 from carrl.record.mcap_file import McapFile
-from carrl.record.mcap_index import open_log
-from carrl.record.mcap_records import messages_in, unpack
-from carrl.record.metadata import ATTACHMENT, content_checksum, describe
-from carrl.record.salvage import Content, intact_records, record_at
-from carrl.record.schema import CHANNELS, EPISODES, METRICS, RECOVERY_NAME, SMALL_MESSAGES, TRANSITIONS
+from carrl.record.mcap_index import IndexedFile, open_log
+from carrl.record.metadata import ATTACHMENT, describe
+from carrl.record.salvage import TOPICS, Content, Decoded, Pieces, decoded_messages, find_pieces, record_at
+from carrl.record.schema import EPISODES, METRICS, RECOVERY_NAME, SMALL_MESSAGES, TRANSITIONS
 from carrl.record.writer import begin_log
-
-_RUN = re.compile("[0-9a-f]{16}")
-_TOPICS = {channel: topic for topic, channel in CHANNELS.items()}
 
 
 @dataclass(frozen=True)
@@ -36,15 +30,16 @@ class Recovery:
     """What was salvaged, and what was not.
 
     Attributes:
-        finished: whether the damaged file ended as a finished one does.
+        finished: whether the damaged file ended as a finished one does, with an intact summary.
         transitions: salvaged.
         episodes: salvaged.
         metrics: salvaged.
         transitions_lost: missing before or between salvaged ones; how many followed the last one nobody knows.
         episodes_lost: likewise.
         metadata_lost: whether what the log says of its run is lost.
-        attachments: salvaged.
+        attachments: salvaged; none without the metadata, for nothing else tells whose they are.
         attachments_lost: those that the metadata names besides.
+        chunks_lost: how many chunks that the summary tells of are not intact where it tells of them.
     """
 
     finished: bool
@@ -56,12 +51,13 @@ class Recovery:
     metadata_lost: bool
     attachments: tuple[str, ...]
     attachments_lost: tuple[str, ...]
+    chunks_lost: int = 0
 
     @property
     def complete(self) -> bool:
-        """Whether the file was finished, and nothing of it is known to be lost."""
+        """Whether the file was finished, and nothing of it is lost."""
         lost = self.transitions_lost or self.episodes_lost or self.metadata_lost or self.attachments_lost
-        return self.finished and not lost
+        return self.finished and not lost and not self.chunks_lost
 
 
 def recover(source: Path, target: Path) -> Recovery:
@@ -77,156 +73,49 @@ def recover(source: Path, target: Path) -> Recovery:
     with file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if target.exists():
             raise LogError(f"log '{target}': is there already; give the name of a new file")
-        pieces = _search(content)
+        pieces = find_pieces(content)
         if not pieces.found and content[: len(MCAP0_MAGIC)] != MCAP0_MAGIC[: len(content)]:
             raise DamagedLogError(f"log '{source}': holds nothing of a CarRL log; give the train.mcap of a run")
-        partial = target.with_name(f".{target.name}.{uuid4().hex}.partial")
+        partial = target.with_name(f".{uuid4().hex}.partial")
         try:
-            recovery = _rewrite(content, pieces, partial)
+            recovery = _rewrite(content, pieces, _indexed_chunks(source), partial)
             partial.rename(target)
-        except OSError as error:
-            raise LogError(f"log '{target}': cannot be written: {error.strerror}; give another place for it") from error
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+            reason = getattr(error, "strerror", None) or error
+            raise LogError(f"log '{target}': cannot be written: {reason}; give another place for it") from error
         finally:
-            with suppress(OSError):
+            with suppress(OSError, ValueError):
                 partial.unlink(missing_ok=True)
     return recovery
 
 
-@dataclass(frozen=True, order=True)
-class _Place:
-    """The messages of one run and topic in an intact chunk; places order as the log had them.
-
-    Attributes:
-        end_time: of the last message.
-        channel: the topic's.
-        number: of transitions, or of the topic's messages, before the first message.
-        position: of the chunk in the damaged file.
-        run: whose messages they are.
-        transitions: in all of them.
-    """
-
-    end_time: int
-    channel: int
-    number: int
-    position: int
-    run: int = field(compare=False)
-    transitions: int = field(compare=False)
+def _indexed_chunks(source: Path) -> set[int] | None:
+    """Where the file's summary says that chunks begin; None if it has none that is intact."""
+    with suppress(LogError), IndexedFile(source) as file:
+        return {chunk.chunk_start_offset for chunk in file.index.chunks}
+    return None
 
 
-@dataclass
-class _Pieces:
-    """What is intact: entries of metadata records, positions of attachments by name and checksum, messages."""
-
-    metadata: list[dict[str, str]] = field(default_factory=list)
-    attachments: dict[tuple[str, str], int] = field(default_factory=dict)
-    places: list[_Place] = field(default_factory=list)
-
-    @property
-    def found(self) -> bool:
-        return bool(self.metadata or self.attachments or self.places)
-
-    @property
-    def run(self) -> int:
-        """The run that most transitions are of, or else most messages' places, or else the first metadata record."""
-        shares: Counter[int] = Counter()
-        for place in self.places:
-            shares[place.run] += place.transitions * len(self.places) + 1
-        if shares:
-            return shares.most_common(1)[0][0]
-        return int(self.metadata[0]["run"], 16) if self.metadata else 0
-
-    def metadata_of(self, run: int) -> dict[str, str] | None:
-        return next((entries for entries in self.metadata if entries["run"] == f"{run:016x}"), None)
-
-    def attachments_of(self, entries: dict[str, str] | None) -> dict[str, int]:
-        """Positions by name of those that the metadata names; without metadata, of all, if all are of one log."""
-        if entries is not None:
-            return {
-                name: position
-                for (name, checksum), position in self.attachments.items()
-                if entries.get(ATTACHMENT + name) == checksum
-            }
-        positions = {name: position for (name, _), position in self.attachments.items()}
-        return positions if not self.metadata and len(positions) == len(self.attachments) else {}
-
-
-@dataclass(frozen=True)
-class _Decoded:
-    """A message that says what its topic's messages say; `batch` if it is one of transitions."""
-
-    message: Message
-    topic: str
-    run: int
-    batch: Batch | None
-
-    @property
-    def number(self) -> int:
-        """How many transitions, or messages of the topic, come before it."""
-        return self.batch.offset if self.batch else self.message.sequence
-
-
-def _search(content: Content) -> _Pieces:
-    pieces = _Pieces()
-    for position, record in intact_records(content):
-        if isinstance(record, Chunk):
-            pieces.places += _places(position, record)
-        elif isinstance(record, Attachment):
-            pieces.attachments.setdefault((record.name, content_checksum(record.data)), position)
-        elif isinstance(record, Metadata) and _RUN.fullmatch(record.metadata.get("run", "")):
-            pieces.metadata.append(record.metadata)
-    return pieces
-
-
-def _messages(chunk: Chunk) -> Iterator[_Decoded]:
-    """The messages of an intact chunk that are of this format."""
-    with suppress(ValueError):  # whoever wrote records that do not fit their chunk is to blame
-        for message in messages_in(unpack(chunk)):
-            topic = _TOPICS.get(message.channel_id, "")
-            with suppress(ValueError):
-                if topic == TRANSITIONS:
-                    batch = Batch.decode(message.data)
-                    yield _Decoded(message, topic, batch.run, batch)
-                elif topic in SMALL_MESSAGES:
-                    yield _Decoded(message, topic, decode_small(topic, message.data)[0], None)
-
-
-def _places(position: int, chunk: Chunk) -> list[_Place]:
-    """The places in the intact chunk at this position."""
-    groups: dict[tuple[int, str], list[_Decoded]] = {}
-    for decoded in _messages(chunk):
-        groups.setdefault((decoded.run, decoded.topic), []).append(decoded)
-    return [
-        _Place(
-            end_time=max(decoded.message.log_time for decoded in messages),
-            channel=CHANNELS[topic],
-            number=min(decoded.number for decoded in messages),
-            position=position,
-            run=run,
-            transitions=sum(decoded.batch.count for decoded in messages if decoded.batch),
-        )
-        for (run, topic), messages in groups.items()
-    ]
-
-
-def _rewrite(content: Content, pieces: _Pieces, path: Path) -> Recovery:
+def _rewrite(content: Content, pieces: Pieces, indexed: set[int] | None, path: Path) -> Recovery:
     """Writes the pieces of one run as a log of their own."""
     run = pieces.run
     entries = pieces.metadata_of(run)
     attachments = {}
     for name, position in pieces.attachments_of(entries).items():
-        record, _ = record_at(content, position)
+        record = record_at(content, position)
         assert isinstance(record, Attachment)
         attachments[name] = record.data
     named = {key.removeprefix(ATTACHMENT) for key in entries or {} if key.startswith(ATTACHMENT)}
     file = begin_log(path, entries or describe(run, 0, {}, attachments), attachments)
     try:
         copy = _Copy(file, run)
-        for place in sorted(place for place in pieces.places if place.run == run):
-            record, _ = record_at(content, place.position)
-            assert isinstance(record, Chunk)
-            copy.add(record, _TOPICS[place.channel])
+        places = sorted(place for place in pieces.places if place.run == run)
+        for place in places:
+            chunk = record_at(content, place.position)
+            assert isinstance(chunk, Chunk)
+            copy.add(chunk, TOPICS[place.channel])
         recovery = Recovery(
-            finished=content[-len(MCAP0_MAGIC) :] == MCAP0_MAGIC,
+            finished=indexed is not None,
             transitions=copy.written[TRANSITIONS],
             episodes=copy.written[EPISODES],
             metrics=copy.written[METRICS],
@@ -235,6 +124,7 @@ def _rewrite(content: Content, pieces: _Pieces, path: Path) -> Recovery:
             metadata_lost=entries is None,
             attachments=tuple(attachments),
             attachments_lost=tuple(sorted(named - attachments.keys())),
+            chunks_lost=len((indexed or set()) - {place.position for place in places}),
         )
         file.add_metadata(RECOVERY_NAME, {key: json.dumps(value) for key, value in asdict(recovery).items()})
         file.finish()
@@ -256,6 +146,7 @@ class _Copy:
         self.written: Counter[str] = Counter()
         self.transitions_lost = 0
         self._next_offset = 0
+        self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
         self._seen: dict[str, set[int]] = {topic: set() for topic in SMALL_MESSAGES}
 
@@ -266,13 +157,13 @@ class _Copy:
 
     def add(self, chunk: Chunk, topic: str) -> None:
         """Appends what the chunk holds of the topic."""
-        own = [decoded for decoded in _messages(chunk) if (decoded.run, decoded.topic) == (self._run, topic)]
+        own = [found for found in decoded_messages(chunk) if (found.run, found.topic) == (self._run, topic)]
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
             self._file.add_chunk(messages)
 
-    def _renumbered(self, decoded: _Decoded) -> Message | None:
-        """The message as it is to be written; None if it has been already."""
+    def _renumbered(self, decoded: Decoded) -> Message | None:
+        """The message as it is to be written; None if it has been already, or does not fit those before."""
         message, topic, batch = decoded.message, decoded.topic, decoded.batch
         content = message.data
         if batch is None:
@@ -281,7 +172,8 @@ class _Copy:
             self._seen[topic].add(message.sequence)
             self.written[topic] += 1
         else:
-            if batch.offset < self._next_offset:
+            self._row_shapes = self._row_shapes or row_shapes(batch.columns)
+            if batch.offset < self._next_offset or row_shapes(batch.columns) != self._row_shapes:
                 return None
             self.transitions_lost += batch.offset - self._next_offset
             self._next_offset = batch.offset + batch.count

@@ -1,4 +1,4 @@
-"""Finds the records of a damaged MCAP file that can still be vouched for.
+"""Finds the pieces of a damaged log that can still be vouched for.
 
 A record is looked for at every byte, for a damaged length leads nowhere; what bears a checksum that fits is intact.
 """
@@ -7,20 +7,27 @@ import mmap
 import re
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from io import BytesIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, McapRecord, Metadata
+from mcap.records import Attachment, Chunk, McapRecord, Message, Metadata
 
-from carrl.record.mcap_records import HEAD, MAX_CHUNK_BYTES, unpack
-from carrl.record.metadata import is_intact
-from carrl.record.schema import METADATA_NAME
+from carrl.record.codec import Batch, decode_small
+from carrl.record.mcap_records import HEAD, MAX_CHUNK_BYTES, messages_in, unpack, unpacked_bytes
+from carrl.record.metadata import ATTACHMENT, content_checksum, is_intact
+from carrl.record.schema import CHANNELS, METADATA_NAME, SMALL_MESSAGES, TRANSITIONS
 
 Content = mmap.mmap
 """A file's bytes, of which those looked at are in memory."""
 
+TOPICS = {channel: topic for topic, channel in CHANNELS.items()}
+
+_RUN = re.compile("[0-9a-f]{16}")
 _CANDIDATE = re.compile(rb"[\x06\x09\x0c].{4}\x00{4}", re.DOTALL)
 """Opcode and length of what may be a chunk, an attachment or a metadata record of less than 4 GiB."""
 _KINDS: dict[int, type[Attachment] | type[Chunk] | type[Metadata]] = {
@@ -29,45 +36,164 @@ _KINDS: dict[int, type[Attachment] | type[Chunk] | type[Metadata]] = {
     Opcode.METADATA: Metadata,
 }
 _MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**10
-_VAIN_BYTES = 2**30
+
+_PATIENCE_BYTES = 2**30
 """How many bytes are examined in vain, beside eight times the file's, before the search ends.
 
-A file may be made so that every byte of it looks like the begin of a record.
+A file may be made so that every byte of it looks like the begin of a record, or so that little of it unpacks to much.
 """
+_CANDIDATE_COST = 2**18
+_BOMB_RATIO = 64
+"""Chunks of a log unpack to at most some ten times their size."""
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A message that says what its topic's messages say; `batch` if it is one of transitions."""
+
+    message: Message
+    topic: str
+    run: int
+    batch: Batch | None
+
+    @property
+    def number(self) -> int:
+        """How many transitions, or messages of the topic, come before it."""
+        return self.batch.offset if self.batch else self.message.sequence
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """The messages of one run and topic in an intact chunk; places order as the log had them.
+
+    Attributes:
+        end_time: of the last message.
+        channel: the topic's.
+        number: of transitions, or of the topic's messages, before the first message.
+        position: of the chunk in the damaged file.
+        run: whose messages they are.
+        transitions: in all of them.
+    """
+
+    end_time: int
+    channel: int
+    number: int
+    position: int
+    run: int = field(compare=False)
+    transitions: int = field(compare=False)
+
+
+@dataclass
+class Pieces:
+    """What is intact: entries of metadata records, positions of attachments by name and checksum, messages."""
+
+    metadata: list[dict[str, str]] = field(default_factory=list)
+    attachments: dict[tuple[str, str], int] = field(default_factory=dict)
+    places: list[Place] = field(default_factory=list)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is anything."""
+        return bool(self.metadata or self.attachments or self.places)
+
+    @property
+    def run(self) -> int:
+        """The run that most transitions are of, or else most messages' places, or else the first metadata record."""
+        shares: Counter[int] = Counter()
+        for place in self.places:
+            shares[place.run] += place.transitions * len(self.places) + 1
+        if shares:
+            return shares.most_common(1)[0][0]
+        return int(self.metadata[0]["run"], 16) if self.metadata else 0
+
+    def metadata_of(self, run: int) -> dict[str, str] | None:
+        """The entries of the run's metadata record; None if it is lost."""
+        return next((entries for entries in self.metadata if entries["run"] == f"{run:016x}"), None)
+
+    def attachments_of(self, entries: dict[str, str] | None) -> dict[str, int]:
+        """Positions by name of those that the metadata vouch for; an attachment itself does not say whose it is."""
+        return {
+            name: position
+            for (name, checksum), position in self.attachments.items()
+            if entries is not None and entries.get(ATTACHMENT + name) == checksum
+        }
+
+
+def find_pieces(content: Content) -> Pieces:
+    """All that is intact of whatever logs the file has pieces of."""
+    pieces = Pieces()
+    for position, record in intact_records(content):
+        if isinstance(record, Chunk):
+            pieces.places += _places(position, record)
+        elif isinstance(record, Attachment):
+            pieces.attachments.setdefault((record.name, content_checksum(record.data)), position)
+        elif isinstance(record, Metadata) and _RUN.fullmatch(record.metadata.get("run", "")):
+            pieces.metadata.append(record.metadata)
+    return pieces
 
 
 def intact_records(content: Content) -> Iterator[tuple[int, McapRecord]]:
     """Yields (position, record) of every intact chunk, attachment and metadata record of a log, in the file's order."""
-    position, patience = 0, 8 * len(content) + _VAIN_BYTES
+    position, patience = 0, 8 * len(content) + _PATIENCE_BYTES
     while patience > 0 and (candidate := _CANDIDATE.search(content, position)):
         position = candidate.start()
-        try:
-            record, end = record_at(content, position)
-        except ValueError:
-            patience -= _length_at(content, position) + MAX_CHUNK_BYTES // 2**8
-            position += 1
-        else:
+        record, end = _parsed_at(content, position)
+        if record is not None and _is_intact(record, content[position + HEAD.size : end]):
+            patience -= _excess_bytes(record)
             yield position, record
             position = end
+        else:
+            patience -= _CANDIDATE_COST + _length_at(content, position) + _examined_bytes(record)
+            position += 1
 
 
-def record_at(content: Content, position: int) -> tuple[McapRecord, int]:
-    """The intact record that begins at this byte, and where it ends, whatever its own length says.
+def record_at(content: Content, position: int) -> McapRecord:
+    """The record, known to be intact, that begins at this byte."""
+    record, _ = _parsed_at(content, position)
+    assert record is not None
+    return record
 
-    Raises:
-        ValueError: there is none.
-    """
-    opcode, _ = HEAD.unpack_from(content, position)
+
+def decoded_messages(chunk: Chunk) -> Iterator[Decoded]:
+    """The messages of an intact chunk that are of this format."""
+    with suppress(ValueError):  # whoever wrote records that do not fit their chunk is to blame
+        for message in messages_in(unpack(chunk)):
+            topic = TOPICS.get(message.channel_id, "")
+            with suppress(ValueError):
+                if topic == TRANSITIONS:
+                    batch = Batch.decode(message.data)
+                    yield Decoded(message, topic, batch.run, batch)
+                elif topic in SMALL_MESSAGES:
+                    yield Decoded(message, topic, decode_small(topic, message.data)[0], None)
+
+
+def _places(position: int, chunk: Chunk) -> list[Place]:
+    """The places in the intact chunk at this position."""
+    groups: dict[tuple[int, str], list[Decoded]] = {}
+    for decoded in decoded_messages(chunk):
+        groups.setdefault((decoded.run, decoded.topic), []).append(decoded)
+    return [
+        Place(
+            end_time=max(decoded.message.log_time for decoded in messages),
+            channel=CHANNELS[topic],
+            number=min(decoded.number for decoded in messages),
+            position=position,
+            run=run,
+            transitions=sum(decoded.batch.count for decoded in messages if decoded.batch),
+        )
+        for (run, topic), messages in groups.items()
+    ]
+
+
+def _parsed_at(content: Content, position: int) -> tuple[McapRecord | None, int]:
+    """What may be a record that begins at this byte, and where it ends, whatever its own length says."""
     begin = position + HEAD.size
     stream = ReadDataStream(BytesIO(content[begin : begin + _length_at(content, position)]))
     try:
-        record = _KINDS[opcode].read(stream)
-    except Exception as error:  # mcap's parsers raise whatever the bytes lead them to
-        raise ValueError("not a record") from error
-    end = begin + stream.count
-    if not _is_intact(record, content[begin:end]):
-        raise ValueError("a checksum does not fit")
-    return record, end
+        record = _KINDS[content[position]].read(stream)
+    except Exception:  # mcap's parsers raise whatever the bytes lead them to
+        return None, begin
+    return record, begin + stream.count
 
 
 def _length_at(content: Content, position: int) -> int:
@@ -79,9 +205,24 @@ def _length_at(content: Content, position: int) -> int:
 def _is_intact(record: McapRecord, body: bytes) -> bool:
     match record:
         case Chunk():
-            return zlib.crc32(unpack(record)) == record.uncompressed_crc
+            with suppress(ValueError):
+                return zlib.crc32(unpack(record)) == record.uncompressed_crc
         case Attachment():
             return body[-4:] == struct.pack("<I", zlib.crc32(body[:-4]))
         case Metadata():
             return record.name == METADATA_NAME and is_intact(record.metadata)
     return False
+
+
+def _examined_bytes(record: McapRecord | None) -> int:
+    """How many bytes the record, which is not intact, was unpacked to."""
+    with suppress(ValueError):
+        return unpacked_bytes(record) if isinstance(record, Chunk) else 0
+    return 0
+
+
+def _excess_bytes(record: McapRecord) -> int:
+    """What the intact record, if it was made to take much time, costs of the patience."""
+    if isinstance(record, Chunk) and record.uncompressed_size > _BOMB_RATIO * len(record.data):
+        return 8 * record.uncompressed_size
+    return 0

@@ -139,8 +139,9 @@ def _positive(entries: Mapping[str, str], key: str) -> float:
 
 def _numbers(entries: Mapping[str, str], key: str, shape: tuple[int | None, ...]) -> Floats:
     """An array of this shape, in which None stands for any extent."""
+    found = _parsed(entries, key, list)
     try:
-        array = np.array(_parsed(entries, key, list), dtype=np.float64)
+        array = np.array(found, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise ValueError(f"its metadata entry '{key}' is no list of numbers") from error
     wanted = tuple(size if want is None else want for want, size in zip(shape, array.shape, strict=False))

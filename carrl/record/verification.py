@@ -10,6 +10,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from carrl.record.codec import row_shapes
 from carrl.record.mcap_index import check_magic, damaged, open_log
 from carrl.record.mcap_records import HEAD, MAX_CHUNK_BYTES, check_crc, parse
 from carrl.record.reader import Log
@@ -41,10 +42,12 @@ def verify(path: Path) -> IntactLog:
                 raise damaged(path, f"its index does not tell where its {what} records are")
         for name in log.attachments:
             log.attachment(name)
-        transitions = 0
+        transitions, shapes = 0, log.row_shapes
         for batch in log.coded_batches():
             if batch.offset != transitions:
                 raise damaged(path, f"{transitions} transitions are followed by number {batch.offset}")
+            if row_shapes(batch.columns) != shapes:
+                raise damaged(path, f"transition {transitions} has not as many rays as those before")
             transitions += batch.count
         found = {EPISODES: sum(1 for _ in log.episodes()), METRICS: sum(1 for _ in log.metrics())}
         for topic, count in found.items():

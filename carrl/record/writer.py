@@ -274,7 +274,7 @@ def begin_log(path: Path, metadata: Mapping[str, str], attachments: Mapping[str,
             media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             file.add_attachment(name, media_type, content)
         for topic, name in MESSAGE_NAMES.items():
-            file.add_channel(topic, name, schema_bytes(topic))
+            file.add_channel(topic, name, schema_bytes(topic), {"run": metadata["run"]})
     except BaseException:
         file.close()
         raise

@@ -1,0 +1,35 @@
+"""Gymnasium knows the environments, in whichever order the two are imported, and `import carrl` does not import it."""
+
+import subprocess
+import sys
+
+import pytest
+
+MAKE = "print(gymnasium.make('carrl/Track-v0').spec.id, gymnasium.make_vec('carrl/Track-v0', num_envs=2).num_envs)"
+
+
+@pytest.mark.parametrize(
+    "imports", ["import carrl, gymnasium", "import gymnasium, carrl", "import carrl, carrl.log, gymnasium.envs"]
+)
+def test_gymnasium_makes_the_environments(imports):
+    finished = subprocess.run(
+        [sys.executable, "-c", f"{imports}\nimport gymnasium\n{MAKE}"], capture_output=True, text=True
+    )
+    assert finished.stdout == "carrl/Track-v0 2\n", finished.stderr
+
+
+def test_importing_carrl_imports_neither_gymnasium_nor_torch():
+    program = "import sys, carrl, carrl.log; print(sorted({'gymnasium', 'torch', 'tensordict'} & set(sys.modules)))"
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert finished.stdout == "[]\n", finished.stderr
+
+
+def test_gymnasium_looks_as_if_nobody_had_watched_its_import():
+    program = """
+import sys
+before = list(sys.meta_path)
+import carrl, gymnasium
+print(sys.meta_path == before, type(gymnasium.__spec__.loader).__name__)
+"""
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert finished.stdout == "True SourceFileLoader\n", finished.stderr
