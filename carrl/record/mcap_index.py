@@ -102,6 +102,8 @@ class IndexedFile:
         chunk = self._read_entry(entry.chunk_start_offset, entry.chunk_length, Opcode.CHUNK)
         assert isinstance(chunk, Chunk)
         with self._naming_damage():
+            if (len(chunk.data), chunk.uncompressed_size) != (entry.compressed_size, entry.uncompressed_size):
+                raise ValueError("a chunk is not of the size that its index tells of")
             messages = list(messages_in(unpack(chunk)))
         yield from messages
 

@@ -38,13 +38,13 @@ class Episode(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """How learning goes, once for each batch of transitions that is logged.
+    """How learning goes, every half second or so.
 
     Attributes:
         frame: env steps of the run.
         updates: of the network.
         loss: before the last update; nan if there was none.
-        td_error: mean absolute TD error of the transitions logged since the last such message.
+        td_error: mean absolute TD error of the transitions logged just before.
         action_value: mean Q-value of the actions chosen in them.
         epsilon: probability of a random action in the next step.
         frames_per_second: env steps per second of wall time since the last such message.

@@ -7,7 +7,7 @@ Shape letters: `T` transitions.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -71,7 +71,6 @@ class Selection:
 EVERYTHING = Selection()
 
 
-@dataclass
 class Log:
     """A finished log, opened; use it in a `with` statement.
 
@@ -84,14 +83,12 @@ class Log:
         DamagedLogError: it is not an intact log of this format; what the methods read, they check then.
     """
 
-    path: Path
-    metadata: Mapping[str, str] = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, path: str | Path) -> None:
         """Reads the file's index and metadata."""
+        self.path = Path(path)
         self._file = IndexedFile(self.path)
         try:
-            self.metadata = self._read_metadata()
+            self.metadata: Mapping[str, str] = self._read_metadata()
             self._topics = self._read_topics()
         except BaseException:
             self._file.__exit__(None, None, None)

@@ -60,7 +60,7 @@ class Recovery:
         return self.finished and not lost and not self.chunks_lost
 
 
-def recover(source: Path, target: Path) -> Recovery:
+def recover(source: str | Path, target: str | Path) -> Recovery:
     """Writes a new, finished log of all that is intact in a damaged one, and tells what was lost.
 
     The target appears whole or not at all; the source is left as it is.
@@ -69,6 +69,7 @@ def recover(source: Path, target: Path) -> Recovery:
         LogError: the source cannot be read, the target exists or cannot be written.
         DamagedLogError: the source is empty, or no log and no piece of one.
     """
+    source, target = Path(source), Path(target)
     file, _ = open_log(source)
     with file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if target.exists():

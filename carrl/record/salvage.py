@@ -99,9 +99,10 @@ class Pieces:
     @property
     def run(self) -> int:
         """The run that most transitions are of, or else most messages' places, or else the first metadata record."""
+        once = {(place.run, place.channel, place.number): place.transitions for place in self.places}
         shares: Counter[int] = Counter()
-        for place in self.places:
-            shares[place.run] += place.transitions * len(self.places) + 1
+        for (run, _, _), transitions in once.items():
+            shares[run] += transitions * len(once) + 1
         if shares:
             return shares.most_common(1)[0][0]
         return int(self.metadata[0]["run"], 16) if self.metadata else 0

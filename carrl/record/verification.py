@@ -28,13 +28,14 @@ class IntactLog:
     metrics: int
 
 
-def verify(path: Path) -> IntactLog:
+def verify(path: str | Path) -> IntactLog:
     """Checks every CRC of a log, its index, and that every message says what its topic's messages say.
 
     Raises:
         LogError: the file cannot be read.
         DamagedLogError: it is not an intact log.
     """
+    path = Path(path)
     offsets = _walk(path)
     with Log(path) as log:
         for what, expected in log.places.items():

@@ -73,10 +73,14 @@ class RunFolder:
         """Whether transitions are logged at all."""
         return self._recorder is not None
 
-    def record(self, transitions: TensorDictBase, metrics: Metrics) -> None:
-        """Logs transitions [F], and how learning goes after them."""
+    def record(self, transitions: TensorDictBase) -> None:
+        """Logs transitions [F]."""
         if self._recorder is not None:
             self._recorder.write(transitions)
+
+    def add_metrics(self, metrics: Metrics) -> None:
+        """Logs how learning goes after the transitions logged so far."""
+        if self._recorder is not None:
             self._recorder.write_metrics(metrics)
 
     def flush(self) -> None:

@@ -25,6 +25,8 @@ LOGGED_TOGETHER = 2048
 """Env steps of each agent after which they are logged."""
 LOGGED_WITHIN_S = 1.0
 """Wall time after which they are logged, if they are fewer."""
+METRICS_INTERVAL_S = 0.5
+"""Wall time for each agent after which learning is measured with the next transitions logged; it takes about 2 ms each."""
 LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)))
 """The log's columns, and what the loss reads besides."""
 
@@ -52,6 +54,7 @@ class Trainer:
         self._evaluated_at = 0
         self._unlogged: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, self._began
+        self._measured, self._measured_at = 0, self._began
         self.runs = [AgentRun(agent, folder) for agent, folder in zip(agents, folders, strict=True)]
         self._active = dict(enumerate(self.runs))
 
@@ -103,12 +106,7 @@ class Trainer:
         # [A * N, T] to [F, A], in the order of time: an item of the buffer is one transition of each agent.
         by_agent = batch.view(len(self.runs), -1, batch.shape[1]).permute(2, 1, 0).flatten(0, 1)
         self._pipeline.replay_buffer.extend(by_agent.select(*KEYS))
-        self._unlogged.append(by_agent.select(*LOGGED_KEYS).clone())
-        if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
-            self._log()
-        if self._learns_for_the_first_time():
-            self._log()
-            self._flush()
+        self._record(by_agent)
         self._pipeline.learner.learn(len(by_agent))
         self._pipeline.exploration.step(len(by_agent))
         losses = self._pipeline.learner.losses.tolist()
@@ -117,6 +115,16 @@ class Trainer:
         interval = self._pipeline.evaluation.interval
         if self.frames // interval > frames_before // interval:
             self._evaluate()
+
+    def _record(self, by_agent: TensorDictBase) -> None:
+        """Keeps transitions [F, A] to be logged together, and logs them when that is due."""
+        self._unlogged.append(by_agent.select(*LOGGED_KEYS).clone())
+        if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
+            self._log()
+        if self._learns_for_the_first_time():
+            self._log()
+            for run in self._active.values():
+                run.folder.flush()
 
     def _learns_for_the_first_time(self) -> bool:
         """Whether the next call of `learn` makes the first update, and compiles it, which can take half a minute."""
@@ -127,31 +135,31 @@ class Trainer:
         """Logs the transitions since the last call, many at once, which costs little more than a few."""
         if not self._unlogged:
             return
-        transitions = torch.cat(self._unlogged)
-        now, frames = time.monotonic(), self.frames - self._logged
-        rate = frames / (now - self._logged_at)
+        transitions, now = torch.cat(self._unlogged), time.monotonic()
         self._unlogged, self._logged, self._logged_at = [], self.frames, now  # nothing is logged again after a failure
-        losses = self._pipeline.learner.losses.tolist()
         for index, run in self._active.items():
-            if not run.folder.has_log:
-                continue
-            of_agent = transitions[:, index]
-            run.folder.record(of_agent, self._metrics(run, of_agent, losses[index], rate))
+            run.folder.record(transitions[:, index])
+        if now >= self._measured_at + METRICS_INTERVAL_S * len(self.runs):
+            self._measure(transitions, now)
 
-    def _metrics(self, run: AgentRun, transitions: TensorDictBase, loss: float, frames_per_second: float) -> Metrics:
-        return Metrics(
-            frame=self.frames,
-            updates=self._pipeline.learner.updates,
-            loss=loss,
-            td_error=td_error(run.agent, transitions),
-            action_value=mean_action_value(transitions),
-            epsilon=self._pipeline.exploration.epsilon,
-            frames_per_second=frames_per_second,
-        )
-
-    def _flush(self) -> None:
-        for run in self._active.values():
-            run.folder.flush()
+    def _measure(self, transitions: TensorDictBase, now: float) -> None:
+        """Logs how every agent's learning goes, measured on these transitions [F, A]."""
+        learner = self._pipeline.learner
+        rate = (self.frames - self._measured) / (now - self._measured_at)
+        self._measured, self._measured_at = self.frames, now
+        losses = learner.losses.tolist()
+        for index, run in self._active.items():
+            if run.folder.has_log:
+                metrics = Metrics(
+                    frame=self.frames,
+                    updates=learner.updates,
+                    loss=losses[index],
+                    td_error=td_error(run.agent, transitions[:, index]),
+                    action_value=mean_action_value(transitions[:, index]),
+                    epsilon=self._pipeline.exploration.epsilon,
+                    frames_per_second=rate,
+                )
+                run.folder.add_metrics(metrics)
 
     def _moment(self, loss: float) -> Moment:
         pipeline = self._pipeline
