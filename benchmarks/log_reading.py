@@ -1,4 +1,4 @@
-"""Reads a large log in one way, in a process that imports nothing else; prints its seconds and its peak memory, bytes."""
+"""Reads a large log in one way, in a process that imports nothing else; prints seconds and peak memory, bytes."""
 
 import sys
 import time

@@ -67,7 +67,7 @@ def load(
     Raises:
         LogError: the file is missing, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return tensordict_of(log.columns(Selection(episodes, envs, begin_s, end_s)))
 
 
@@ -82,7 +82,7 @@ def fill(buffer: "ReplayBuffer", paths: str | Path | Iterable[str | Path], selec
     """
     count = 0
     for path in [paths] if isinstance(paths, str | Path) else paths:
-        with Log(Path(path)) as log:
+        with Log(path) as log:
             for columns in log.batches(selection or Selection()):
                 buffer.extend(tensordict_of(columns))
                 count += len(columns["action"])
@@ -95,7 +95,7 @@ def read_columns(path: str | Path, selection: Selection | None = None) -> "dict[
     Raises:
         LogError: the file is missing, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return log.columns(selection or Selection())
 
 
@@ -105,7 +105,7 @@ def read_episodes(path: str | Path) -> list[Episode]:
     Raises:
         LogError: the file is missing, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return list(log.episodes())
 
 
@@ -115,7 +115,7 @@ def read_metrics(path: str | Path) -> list[Metrics]:
     Raises:
         LogError: the file is missing, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return list(log.metrics())
 
 
@@ -125,7 +125,7 @@ def read_attachment(path: str | Path, name: str) -> bytes:
     Raises:
         LogError: no attachment has this name, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return log.attachment(name)
 
 
@@ -135,7 +135,7 @@ def read_metadata(path: str | Path) -> dict[str, str]:
     Raises:
         LogError: the file is missing, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return dict(log.metadata)
 
 
@@ -145,5 +145,5 @@ def read_summary(path: str | Path) -> LogSummary:
     Raises:
         LogError: the file is missing, or not an intact log.
     """
-    with Log(Path(path)) as log:
+    with Log(path) as log:
         return summarise(log)

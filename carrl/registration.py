@@ -1,25 +1,27 @@
-"""Makes `carrl/Track-v0` known to Gymnasium once both are imported, in either order.
+"""Makes CarRL known to Gymnasium and to TorchRL once both are imported, in either order.
 
-Gymnasium 1.4 has no entry points for plugins, and importing it here would make `carrl log` start noticeably later.
+Neither has entry points for plugins, and importing them here would take as long as `carrl log` may take to start.
 """
 
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 
 def register_with_gymnasium() -> None:
-    """Registers the environments now, or as soon as Gymnasium is imported."""
-    if "gymnasium" in sys.modules:
-        _register()
-    else:
-        sys.meta_path.insert(0, _GymnasiumFinder())
+    """Registers the environment `carrl/Track-v0` now, or as soon as Gymnasium is imported."""
+    _register_after("gymnasium", _register_environments)
 
 
-def _register() -> None:
+def register_with_torchrl() -> None:
+    """Registers the data set `carrl:PATH` now, or as soon as TorchRL's data sets are imported."""
+    _register_after("torchrl.data.datasets.utils", _register_dataset)
+
+
+def _register_environments() -> None:
     import gymnasium
 
     gymnasium.register(
@@ -30,22 +32,39 @@ def _register() -> None:
     )
 
 
-class _GymnasiumFinder(MetaPathFinder):
-    """Finds Gymnasium as Python would, once, and lets registration follow its import."""
+def _register_dataset() -> None:
+    from torchrl.data.datasets.utils import register_dataset
+
+    register_dataset("carrl", "carrl.data.dataset:CarRLExperienceReplay", replace=True)
+
+
+def _register_after(module: str, register: Callable[[], None]) -> None:
+    """Registers now if the module is there, else right after its import."""
+    if module in sys.modules:
+        register()
+    else:
+        sys.meta_path.insert(0, _Finder(module, register))
+
+
+class _Finder(MetaPathFinder):
+    """Finds a module as Python would, once, and lets registration follow its import."""
+
+    def __init__(self, module: str, register: Callable[[], None]) -> None:
+        self._module, self._register = module, register
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name != "gymnasium":
+        if name != self._module:
             return None
         sys.meta_path.remove(self)
         spec = importlib.util.find_spec(name)
         if spec is not None and spec.loader is not None:
-            spec.loader = _RegisteringLoader(spec.loader)
+            spec.loader = _RegisteringLoader(spec.loader, self._register)
         return spec
 
 
 class _RegisteringLoader(Loader):
-    def __init__(self, loader: Loader) -> None:
-        self._loader = loader
+    def __init__(self, loader: Loader, register: Callable[[], None]) -> None:
+        self._loader, self._register = loader, register
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self._loader.create_module(spec)
@@ -54,4 +73,4 @@ class _RegisteringLoader(Loader):
         assert module.__spec__ is not None
         module.__spec__.loader = module.__loader__ = self._loader  # from here on it is as if nobody had looked on
         self._loader.exec_module(module)
-        _register()
+        self._register()

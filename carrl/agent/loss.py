@@ -1,7 +1,13 @@
-"""What the network learns from: TorchRL's DQN loss and its Double DQN variant."""
+"""What the network learns from: TorchRL's DQN loss, its Double DQN variant, and conservative Q-learning on top.
 
-from typing import Literal
+Shapes: `N` transitions.
+"""
 
+import math
+from typing import Any, Literal
+
+from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
@@ -26,10 +32,75 @@ def make_dqn_loss(
     Raises:
         ConfigError: gamma lies outside 0..1.
     """
+    loss = DQNLoss(network, **_options(loss_function, double_dqn))
+    _set_discount(loss, gamma)
+    return loss
+
+
+def make_cql_loss(
+    gamma: float,
+    loss_function: Literal["l2", "smooth_l1"],
+    double_dqn: bool,
+    alpha: float,
+    *,
+    network: QValueActor,
+) -> "ConservativeDQNLoss":
+    """The loss of `make_dqn_loss` plus `alpha` times how far the actions in all are valued above the one taken.
+
+    Source: Kumar et al. 2020, "Conservative Q-Learning for Offline Reinforcement Learning", eq. 4, whose TD error is
+    halved, so that the paper's alpha is half of this one.
+
+    Raises:
+        ConfigError: gamma lies outside 0..1, or alpha is negative.
+    """
+    if not 0 <= alpha < math.inf:
+        raise ConfigError(f"loss.alpha is {alpha}; it must be a number of at least 0")
+    loss = ConservativeDQNLoss(network, alpha=alpha, **_options(loss_function, double_dqn))
+    _set_discount(loss, gamma)
+    return loss
+
+
+class ConservativeDQNLoss(DQNLoss):
+    """TorchRL's DQN loss and, with a weight, the conservative term of discrete CQL: log sum exp Q(s, .) - Q(s, a).
+
+    TorchRL 0.14 has a `DiscreteCQLLoss` with the same two terms, but it never reads its target network and knows no
+    Double DQN; `test_torchrls_own_cql_loss_does_not_read_its_target_network` pins it.
+
+    Args:
+        network: that is trained.
+        alpha: weight of the conservative term.
+        options: of `DQNLoss`.
+    """
+
+    def __init__(self, network: QValueActor, *, alpha: float, **options: Any) -> None:
+        super().__init__(network, **options)
+        self.alpha = alpha
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The sum of both terms under `loss`, []: transitions [N] as `DQNLoss` takes them."""
+        losses = super().forward(tensordict)
+        losses["loss"] = losses["loss"] + self.alpha * self._excess(tensordict).mean()
+        return losses
+
+    def _excess(self, tensordict: TensorDictBase) -> Tensor:
+        """How far the actions' values in all exceed that of the action taken, [N]."""
+        read = tensordict.select(*self.value_network.in_keys)
+        with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
+            values = self.value_network(read)[self.tensor_keys.action_value]
+        taken = values.gather(-1, tensordict[self.tensor_keys.action].unsqueeze(-1)).squeeze(-1)
+        return values.logsumexp(dim=-1) - taken
+
+
+def _options(loss_function: str, double_dqn: bool) -> dict[str, Any]:
+    return {
+        "loss_function": loss_function,
+        "delay_value": True,
+        "double_dqn": double_dqn,
+        "action_space": "categorical",
+    }
+
+
+def _set_discount(loss: DQNLoss, gamma: float) -> None:
     if not 0 <= gamma <= 1:
         raise ConfigError(f"loss.gamma is {gamma}; it must lie in 0..1")
-    loss = DQNLoss(
-        network, loss_function=loss_function, delay_value=True, double_dqn=double_dqn, action_space="categorical"
-    )
     loss.make_value_estimator(gamma=gamma)  # DQNLoss(gamma=...) raises since torchrl 0.3
-    return loss

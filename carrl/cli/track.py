@@ -78,10 +78,7 @@ def _show(arguments: argparse.Namespace) -> int:
     if path.suffix.lower() != ".png":
         raise TrackError(f"--out is '{path}'; the picture is a PNG, so its name must end in .png")
     track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
-    try:
-        save_png(track_map.figure, path)
-    except OSError as error:
-        raise TrackError(f"'{path}' cannot be written: {error.strerror}") from error
+    save_png(track_map.figure, path)
     print(path)
     return 0
 

@@ -72,8 +72,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     source, target = Path(source), Path(target)
     file, _ = open_log(source)
     with file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        if target.exists():
-            raise LogError(f"log '{target}': is there already; give the name of a new file")
+        _check_free(target)
         pieces = find_pieces(content)
         if not pieces.found and content[: len(MCAP0_MAGIC)] != MCAP0_MAGIC[: len(content)]:
             raise DamagedLogError(f"log '{source}': holds nothing of a CarRL log; give the train.mcap of a run")
@@ -82,12 +81,26 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             recovery = _rewrite(content, pieces, _indexed_chunks(source), partial)
             partial.rename(target)
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-            reason = getattr(error, "strerror", None) or error
-            raise LogError(f"log '{target}': cannot be written: {reason}; give another place for it") from error
+            raise _unwritable(target, error) from error
         finally:
             with suppress(OSError, ValueError):
                 partial.unlink(missing_ok=True)
     return recovery
+
+
+def _check_free(target: Path) -> None:
+    try:
+        target.lstat()
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError) as error:
+        raise _unwritable(target, error) from error
+    raise LogError(f"log '{target}': is there already; give the name of a new file")
+
+
+def _unwritable(target: Path, error: Exception) -> LogError:
+    reason = getattr(error, "strerror", None) or error
+    return LogError(f"log '{target}': cannot be written: {reason}; give another place for it")
 
 
 def _indexed_chunks(source: Path) -> set[int] | None:
@@ -158,7 +171,7 @@ class _Copy:
 
     def add(self, chunk: Chunk, topic: str) -> None:
         """Appends what the chunk holds of the topic."""
-        own = [found for found in decoded_messages(chunk) if (found.run, found.topic) == (self._run, topic)]
+        own = [found for found in decoded_messages(chunk) if found and (found.run, found.topic) == (self._run, topic)]
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
             self._file.add_chunk(messages)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import islice
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -43,8 +44,11 @@ _PATIENCE_BYTES = 2**30
 A file may be made so that every byte of it looks like the begin of a record, or so that little of it unpacks to much.
 """
 _CANDIDATE_COST = 2**18
-_BOMB_RATIO = 64
-"""Chunks of a log unpack to at most some ten times their size."""
+_MESSAGE_COST = 2**13
+_PAID_WITH_A_BYTE = 2**10
+"""Messages of a log take more than eight bytes each, packed, and so cost nothing."""
+_MAX_MESSAGES = 2**17
+"""How many messages of a chunk are read; the writer's have some ten thousand."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,13 @@ class Place:
 
 @dataclass
 class Pieces:
-    """What is intact: entries of metadata records, positions of attachments by name and checksum, messages."""
+    """What is intact in a damaged file.
+
+    Attributes:
+        metadata: entries of records, in the order of the file.
+        attachments: positions by name and checksum.
+        places: of messages, in the order of the file.
+    """
 
     metadata: list[dict[str, str]] = field(default_factory=list)
     attachments: dict[tuple[str, str], int] = field(default_factory=dict)
@@ -123,29 +133,17 @@ class Pieces:
 def find_pieces(content: Content) -> Pieces:
     """All that is intact of whatever logs the file has pieces of."""
     pieces = Pieces()
-    for position, record in intact_records(content):
-        if isinstance(record, Chunk):
-            pieces.places += _places(position, record)
-        elif isinstance(record, Attachment):
-            pieces.attachments.setdefault((record.name, content_checksum(record.data)), position)
-        elif isinstance(record, Metadata) and _RUN.fullmatch(record.metadata.get("run", "")):
-            pieces.metadata.append(record.metadata)
-    return pieces
-
-
-def intact_records(content: Content) -> Iterator[tuple[int, McapRecord]]:
-    """Yields (position, record) of every intact chunk, attachment and metadata record of a log, in the file's order."""
     position, patience = 0, 8 * len(content) + _PATIENCE_BYTES
     while patience > 0 and (candidate := _CANDIDATE.search(content, position)):
         position = candidate.start()
         record, end = _parsed_at(content, position)
         if record is not None and _is_intact(record, content[position + HEAD.size : end]):
-            patience -= _excess_bytes(record)
-            yield position, record
+            patience -= max(0, _MESSAGE_COST * _add(pieces, position, record) - _PAID_WITH_A_BYTE * (end - position))
             position = end
         else:
             patience -= _CANDIDATE_COST + _length_at(content, position) + _examined_bytes(record)
             position += 1
+    return pieces
 
 
 def record_at(content: Content, position: int) -> McapRecord:
@@ -155,35 +153,55 @@ def record_at(content: Content, position: int) -> McapRecord:
     return record
 
 
-def decoded_messages(chunk: Chunk) -> Iterator[Decoded]:
-    """The messages of an intact chunk that are of this format."""
+def decoded_messages(chunk: Chunk) -> Iterator[Decoded | None]:
+    """Yields the messages of an intact chunk, None for those that are not of this format."""
     with suppress(ValueError):  # whoever wrote records that do not fit their chunk is to blame
-        for message in messages_in(unpack(chunk)):
-            topic = TOPICS.get(message.channel_id, "")
-            with suppress(ValueError):
-                if topic == TRANSITIONS:
-                    batch = Batch.decode(message.data)
-                    yield Decoded(message, topic, batch.run, batch)
-                elif topic in SMALL_MESSAGES:
-                    yield Decoded(message, topic, decode_small(topic, message.data)[0], None)
+        for message in islice(messages_in(unpack(chunk)), _MAX_MESSAGES):
+            try:
+                yield _decode(message)
+            except ValueError:
+                yield None
 
 
-def _places(position: int, chunk: Chunk) -> list[Place]:
-    """The places in the intact chunk at this position."""
-    groups: dict[tuple[int, str], list[Decoded]] = {}
-    for decoded in decoded_messages(chunk):
-        groups.setdefault((decoded.run, decoded.topic), []).append(decoded)
-    return [
-        Place(
-            end_time=max(decoded.message.log_time for decoded in messages),
-            channel=CHANNELS[topic],
-            number=min(decoded.number for decoded in messages),
-            position=position,
-            run=run,
-            transitions=sum(decoded.batch.count for decoded in messages if decoded.batch),
-        )
-        for (run, topic), messages in groups.items()
-    ]
+def _decode(message: Message) -> Decoded | None:
+    topic = TOPICS.get(message.channel_id, "")
+    if topic == TRANSITIONS:
+        batch = Batch.decode(message.data)
+        return Decoded(message, topic, batch.run, batch)
+    if topic in SMALL_MESSAGES:
+        return Decoded(message, topic, decode_small(topic, message.data)[0], None)
+    return None
+
+
+def _add(pieces: Pieces, position: int, record: McapRecord) -> int:
+    """Notes an intact record, and tells how many messages it has."""
+    match record:
+        case Chunk():
+            return _add_places(pieces, position, record)
+        case Attachment():
+            pieces.attachments.setdefault((record.name, content_checksum(record.data)), position)
+        case Metadata() if _RUN.fullmatch(record.metadata.get("run", "")):
+            pieces.metadata.append(record.metadata)
+    return 0
+
+
+def _add_places(pieces: Pieces, position: int, chunk: Chunk) -> int:
+    found: dict[tuple[int, str], tuple[int, int, int]] = {}  # latest time, least number, transitions
+    messages = list(map(_digest, decoded_messages(chunk)))
+    for key, end_time, number, transitions in filter(None, messages):
+        latest, least, so_far = found.get(key, (end_time, number, 0))
+        found[key] = (max(latest, end_time), min(least, number), so_far + transitions)
+    for (run, topic), (end_time, number, transitions) in found.items():
+        pieces.places.append(Place(end_time, CHANNELS[topic], number, position, run, transitions))
+    return len(messages)
+
+
+def _digest(decoded: Decoded | None) -> tuple[tuple[int, str], int, int, int] | None:
+    """What a place tells of a message: run and topic, time, number, transitions."""
+    if decoded is None:
+        return None
+    transitions = decoded.batch.count if decoded.batch else 0
+    return (decoded.run, decoded.topic), decoded.message.log_time, decoded.number, transitions
 
 
 def _parsed_at(content: Content, position: int) -> tuple[McapRecord | None, int]:
@@ -219,11 +237,4 @@ def _examined_bytes(record: McapRecord | None) -> int:
     """How many bytes the record, which is not intact, was unpacked to."""
     with suppress(ValueError):
         return unpacked_bytes(record) if isinstance(record, Chunk) else 0
-    return 0
-
-
-def _excess_bytes(record: McapRecord) -> int:
-    """What the intact record, if it was made to take much time, costs of the patience."""
-    if isinstance(record, Chunk) and record.uncompressed_size > _BOMB_RATIO * len(record.data):
-        return 8 * record.uncompressed_size
     return 0

@@ -157,15 +157,25 @@ def read_trace(log: Log, episode: int) -> EpisodeTrace:
     columns = log.columns(Selection(episodes=[episode]))
     if not len(columns["action"]):
         raise LogError(f"log '{log.path}': holds no step of episode {episode}; carrl log ls FILE shows which it has")
+    _check_widths(log, scene, columns)
     if (np.diff(columns["step"]) <= 0).any():
         raise _undescribed(log, f"the steps of episode {episode} are out of order")
     if columns["action"].min() < 0 or columns["action"].max() >= len(scene.action_names):
         raise _undescribed(log, f"episode {episode} has an action without a name")
     if not 0 <= columns["track"][0] < len(scene.tracks):
         raise _undescribed(log, f"the track of episode {episode} is not attached")
-    if columns["observation"].shape[1] < len(scene.sensor_angles):
-        raise _undescribed(log, "it has fewer readings than rays")
     return EpisodeTrace(scene, columns)
+
+
+def _check_widths(log: Log, scene: Scene, columns: Mapping[str, NDArray[np.generic]]) -> None:
+    """Raises DamagedLogError where the columns have another width than the scene says."""
+    if not 0 < len(scene.sensor_angles) <= columns["observation"].shape[1]:
+        raise _undescribed(
+            log, f"it has {columns['observation'].shape[1]} readings for {len(scene.sensor_angles)} rays"
+        )
+    for column, names in (("action_value", scene.action_names), ("reward_terms", scene.reward_terms)):
+        if columns[column].shape[1] != len(names):
+            raise _undescribed(log, f"column '{column}' is {columns[column].shape[1]} wide for {len(names)} names")
 
 
 def _undescribed(log: Log, found: str) -> DamagedLogError:

@@ -14,12 +14,13 @@ from torchrl.modules import QValueActor
 from carrl.agent.exploration import ExponentialEpsilonGreedy
 from carrl.agent.policy import GreedyPolicy
 from carrl.config import build_node
+from carrl.data.logs import check_logs, fill_from_logs
 from carrl.env.observation import observation_size
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
 from carrl.run.learner import Agent, Learner
-from carrl.run.plan import EvaluationPlan, TrainingPlan
+from carrl.run.plan import EvaluationPlan, OfflinePlan, TrainingPlan
 from carrl.sim.sensor import Sensor
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, VehicleModel
@@ -36,35 +37,45 @@ class World:
 
 
 @dataclass(frozen=True)
-class Pipeline:
-    """The parts of a training run, built and wired; `agents` train side by side, each as it would alone."""
+class Learning:
+    """What learns, wherever its transitions come from; `agents` train side by side, each as it would alone."""
 
     world: World
-    env: TrackEnv
     agents: list[Agent]
     policy: GreedyPolicy
-    exploration: ExponentialEpsilonGreedy
-    collector: Collector
     replay_buffer: TensorDictReplayBuffer
     learner: Learner
     plan: TrainingPlan
+
+
+@dataclass(frozen=True)
+class Pipeline(Learning):
+    """The parts of a training run in the simulator, built and wired."""
+
+    env: TrackEnv
+    exploration: ExponentialEpsilonGreedy
+    collector: Collector
     evaluation: EvaluationPlan
+
+
+@dataclass(frozen=True)
+class OfflinePipeline(Learning):
+    """The parts of a training run on logs, built and wired: there is no simulator among them."""
+
+    offline_plan: OfflinePlan
 
 
 Config = Mapping[str, Any]
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """Builds a training run from its resolved configuration, as plain Python values.
+    """Builds a training run in the simulator from its resolved configuration, as plain Python values.
 
     Raises:
         CarrlError: a part refuses its values.
     """
-    device = _checked_device(config["device"])
-    compiled = _checked_flag("compile", config["compile"])
-    plan: TrainingPlan = build_node("trainer", config["trainer"])
-    seeds = plan.agent_seeds(config["seed"])
-    world = build_world(config)
+    learning = _build_learning(config, config["replay_buffer"])
+    world, seeds = learning.world, [agent.seed for agent in learning.agents]
     env = build_node(
         "env",
         config["env"],
@@ -72,35 +83,82 @@ def build_pipeline(config: Config) -> Pipeline:
         vehicle=world.vehicle,
         sensor=world.sensor,
         reward=world.reward,
-        device=device,
+        device=config["device"],
         seed=[_part_seed(seed, "env") for seed in seeds],
     )
-    agents = [_build_agent(config, seed, device) for seed in seeds]
-    policy = GreedyPolicy([agent.network for agent in agents], observes_action(config))
     exploration = build_node(
         "exploration",
         config["exploration"],
         action_spec=env.action_spec_unbatched,
         generators=[_generator(seed, "exploration") for seed in seeds],
-    ).to(device)
-    collector = build_node("collector", config["collector"], env=env, policy=TensorDictSequential(policy, exploration))
+    ).to(config["device"])
+    policy = TensorDictSequential(learning.policy, exploration)
+    return Pipeline(
+        **vars(learning),
+        env=env,
+        exploration=exploration,
+        collector=build_node("collector", config["collector"], env=env, policy=policy),
+        evaluation=build_node("evaluation", config["evaluation"]),
+    )
+
+
+def learns_from_logs(config: Config) -> bool:
+    """Whether a run's transitions come from logs instead of the simulator."""
+    return bool(config.get("data"))
+
+
+def build_offline_pipeline(config: Config) -> OfflinePipeline:
+    """Builds a training run on logs, with all their transitions in the replay buffer of every agent.
+
+    Raises:
+        CarrlError: a part refuses its values, or a log cannot be read or does not fit the configuration.
+    """
+    offline_plan: OfflinePlan = build_node("data", config["data"])
+    sensor: Sensor = build_node("sensor", config["sensor"])
+    transitions = check_logs(offline_plan.paths, sensor, observes_action(config))
+    learning = _build_learning(config, _with_room(config["replay_buffer"], transitions))
+    fill_from_logs(learning.replay_buffer, offline_plan.paths, len(learning.agents))
+    return OfflinePipeline(**vars(learning), offline_plan=offline_plan)
+
+
+def _with_room(node: Config, transitions: int) -> Config:
+    """The replay buffer's node with the least multiple of its capacity that holds so many transitions.
+
+    A multiple, since compiled updates are made for one capacity: most logs share it with each other and with runs in
+    the simulator.
+
+    Raises:
+        ConfigError: the node's values are refused, or there are too few transitions for a minibatch.
+    """
+    buffer: TensorDictReplayBuffer = build_node("replay_buffer", node, device="cpu", generators=[])
+    if transitions < buffer.batch_size:
+        raise ConfigError(
+            f"data.path has {transitions} transitions, fewer than the {buffer.batch_size} of one minibatch; "
+            "name more logs, or set a smaller replay_buffer.batch_size"
+        )
+    return {**node, "capacity": node["capacity"] * -(-transitions // node["capacity"])}
+
+
+def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
+    device = _checked_device(config["device"])
+    compiled = _checked_flag("compile", config["compile"])
+    plan: TrainingPlan = build_node("trainer", config["trainer"])
+    seeds = plan.agent_seeds(config["seed"])
+    world = build_world(config)
+    agents = [_build_agent(config, seed, device) for seed in seeds]
     replay_buffer = build_node(
         "replay_buffer",
-        config["replay_buffer"],
+        replay_buffer_node,
         device=device,
         generators=[_generator(seed, "replay_buffer") for seed in seeds],
     )
-    return Pipeline(
+    return Learning(
         world=world,
-        env=env,
         agents=agents,
-        policy=policy,
-        exploration=exploration,
-        collector=collector,
+        policy=GreedyPolicy([agent.network for agent in agents], observes_action(config)),
         replay_buffer=replay_buffer,
         learner=Learner(agents, replay_buffer, compiled=compiled),
         plan=plan,
-        evaluation=build_node("evaluation", config["evaluation"]),
     )
 
 

@@ -1,7 +1,8 @@
-"""What a run is to do: how long, by which agents, and how often it is evaluated."""
+"""What a run is to do: how long, by which agents, on what, and how often it is evaluated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from carrl.errors import ConfigError
 
@@ -64,3 +65,30 @@ class EvaluationPlan:
         """Raises ConfigError unless the interval is positive."""
         if self.interval < 1:
             raise ConfigError(f"evaluation.interval is {self.interval}; it must be at least 1 env step")
+
+
+@dataclass(frozen=True)
+class OfflinePlan:
+    """What to learn from instead of the simulator, and for how long.
+
+    Attributes:
+        path: a log, or several.
+        updates: of each agent's network.
+    """
+
+    path: str | Sequence[str]
+    updates: int
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError unless there is a log and an update."""
+        if not self.paths:
+            raise ConfigError(
+                "data.path names no log; give at least one, such as outputs/2026-01-31/12-00-00/train.mcap"
+            )
+        if self.updates < 1:
+            raise ConfigError(f"data.updates is {self.updates}; it must be at least 1")
+
+    @property
+    def paths(self) -> list[Path]:
+        """The logs."""
+        return [Path(path) for path in ([self.path] if isinstance(self.path, str) else self.path)]

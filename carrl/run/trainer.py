@@ -26,7 +26,7 @@ LOGGED_TOGETHER = 2048
 LOGGED_WITHIN_S = 1.0
 """Wall time after which they are logged, if they are fewer."""
 METRICS_INTERVAL_S = 0.5
-"""Wall time for each agent after which learning is measured with the next transitions logged; it takes about 2 ms each."""
+"""Wall time for each agent after which learning is measured with the next transitions logged; one takes about 2 ms."""
 LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)))
 """The log's columns, and what the loss reads besides."""
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from carrl.errors import TrackError
+from carrl.files import write_whole
 from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, drop_closing_point, repeated_point
-from carrl.sim.file_content import read_content, write_content
+from carrl.sim.file_content import read_content
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 
@@ -25,7 +26,7 @@ def write_csv(path: Path, centreline: Centreline) -> None:
     """
     table = np.column_stack([centreline.points, centreline.width_right, centreline.width_left])
     rows = [",".join(f"{value:.6f}" for value in row) for row in table.tolist()]
-    write_content(path, "\n".join([f"# {','.join(COLUMNS)}", *rows, ""]).encode())
+    write_whole(path, "\n".join([f"# {','.join(COLUMNS)}", *rows, ""]).encode(), TrackError)
 
 
 def read_csv(path: Path) -> Centreline:

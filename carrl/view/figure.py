@@ -1,13 +1,13 @@
 """What every figure shares: colours, size, and a way onto the disk that never leaves half a picture."""
 
-import os
 from io import BytesIO
 from pathlib import Path
-from uuid import uuid4
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from carrl.files import write_whole
 
 WIDTH = 7.0
 """Width of a figure, inches."""
@@ -42,13 +42,11 @@ def plain_axes(axes: Axes) -> None:
 
 
 def save_png(figure: Figure, path: str | Path) -> None:
-    """Writes the figure to `path`, whole or not at all: a reader sees the old picture or the new one."""
-    path = Path(path)
+    """Writes the figure to `path`, whole or not at all: a reader sees the old picture or the new one.
+
+    Raises:
+        CarrlError: it cannot be written there.
+    """
     picture = BytesIO()
     figure.savefig(picture, format="png", dpi=DPI, facecolor="white")
-    partial = path.with_name(f".{path.name}.{uuid4().hex}.partial")
-    try:
-        partial.write_bytes(picture.getvalue())
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_whole(path, picture.getvalue())

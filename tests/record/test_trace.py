@@ -115,7 +115,7 @@ def write_log(path, transitions, **changes):
         "walls": [[[0, 0], [1, 0]]],
         "gates": [[[0, 0], [0, 1]]],
     }
-    scene = Scene(("a", "b", "c"), ("gate",), np.zeros(7), 10.0, 0.1, 0.5, np.zeros((3, 3)), ())
+    scene = Scene(("a", "b", "c"), ("a", "b", "gate", "d"), np.zeros(7), 10.0, 0.1, 0.5, np.zeros((3, 3)), ())
     entries = {**scene.entries(), **{key: value for key, value in changes.items() if key != "track"}}
     attachments = {"track.json": changes.get("track", json.dumps(track).encode())}
     with LogWriter(
@@ -140,7 +140,10 @@ def test_a_log_that_tells_everything_gives_a_trace(tmp_path, transitions):
         ({"action_names": '["a"]'}, "'manoeuvres' has the shape"),
         ({"sensor_angles_rad": "{"}, "'sensor_angles_rad' is not JSON"),
         ({"sensor_angles_rad": "[[1], [1, 2]]"}, "'sensor_angles_rad' is no list of numbers"),
-        ({"sensor_angles_rad": json.dumps([0.0] * 8)}, "fewer readings than rays"),
+        ({"sensor_angles_rad": json.dumps([0.0] * 8)}, "it has 7 readings for 8 rays"),
+        ({"sensor_angles_rad": "[]"}, "it has 7 readings for 0 rays"),
+        ({"reward_terms": '["gate"]'}, "column 'reward_terms' is 4 wide for 1 names"),
+        ({"action_names": '["a"]', "manoeuvres": "[[1, 0, 0]]"}, "column 'action_value' is 3 wide for 1 names"),
         ({"sensor_range_m": "-1"}, "'sensor_range_m' is -1.0; it must be positive"),
         ({"time_step_s": "NaN"}, "'time_step_s' is nan"),
         ({"body_radius_m": '"wide"'}, "'body_radius_m' is 'wide'"),

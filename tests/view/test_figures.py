@@ -8,6 +8,7 @@ import torch
 from matplotlib.colors import to_rgb
 from PIL import Image
 
+from carrl.errors import CarrlError
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
@@ -262,7 +263,7 @@ def test_a_failed_write_keeps_the_old_picture_and_leaves_nothing_beside_it(tmp_p
         raise OSError("no space left")
 
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(OSError, match="no space left"):
+    with pytest.raises(CarrlError, match="no space left"):
         draw_learning_curve(path, noisy_returns(40))
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["curve.png"]

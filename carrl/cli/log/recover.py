@@ -1,0 +1,53 @@
+"""`carrl log recover`: a finished log of all that is intact in a damaged one."""
+
+import argparse
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+from carrl.cli.log.arguments import Verbs, add_json, add_verb
+from carrl.cli.log.printable import printable
+from carrl.cli.log.terminal import counted, print_json
+from carrl.log import Recovery, recover
+
+
+def add_to(verbs: Verbs) -> None:
+    """Adds the verb."""
+    description = "Writes a new log of all that is intact in one that was cut off or damaged, and tells what is lost."
+    verb = add_verb(verbs, "recover", run, "salvage a log that was cut off or damaged", description)
+    verb.add_argument("out", metavar="OUT", help="the new log; there must be no such file yet")
+    add_json(verb)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes the new log and says what is in it."""
+    recovery = recover(Path(arguments.file), Path(arguments.out))
+    if arguments.json:
+        print_json({"path": arguments.out, "complete": recovery.complete, **dataclasses.asdict(recovery)})
+    else:
+        for sentence in (_salvaged(arguments.out, recovery), *_lost(recovery)):
+            print(printable(sentence))
+    return 0
+
+
+def _salvaged(path: str, recovery: Recovery) -> str:
+    found = (
+        f"{counted(recovery.transitions, 'transition')}, {counted(recovery.episodes, 'ended episode')}, "
+        f"{counted(recovery.metrics, 'message')} of metrics"
+    )
+    return f"{path}: salvaged {found}, with {' and '.join(recovery.attachments) or 'no attachment'}."
+
+
+def _lost(recovery: Recovery) -> Iterator[str]:
+    if recovery.complete:
+        yield "Nothing is known to be lost: the log was finished, and every part of it is there."
+    if not recovery.finished:
+        yield "The log was not finished: what came after its last intact part is lost, and nobody knows how much."
+    if recovery.transitions_lost:
+        yield f"Lost: {counted(recovery.transitions_lost, 'transition')} before or between those salvaged."
+    if recovery.episodes_lost:
+        yield f"Lost: {counted(recovery.episodes_lost, 'ended episode')} before or between those salvaged."
+    if recovery.metadata_lost:
+        yield "Lost: the metadata, what the log said of its run; show, replay and pictures need it."
+    if recovery.attachments_lost:
+        yield f"Lost: {', '.join(recovery.attachments_lost)}."

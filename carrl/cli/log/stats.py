@@ -1,0 +1,129 @@
+"""`carrl log stats`: what all episodes of a log add up to."""
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carrl.cli.log.arguments import Verbs, add_json, add_verb
+from carrl.cli.log.printable import printable_scene
+from carrl.cli.log.terminal import print_json
+from carrl.errors import CarrlError, DamagedLogError
+from carrl.record.messages import Episode
+from carrl.record.reader import Log
+from carrl.record.scene import Scene
+from carrl.record.trace import read_scene
+from carrl.view.log_stats import LogStats, section_name
+
+
+def add_to(verbs: Verbs) -> None:
+    """Adds the verb."""
+    description = "Tells how far the episodes came, how they ended, which actions were chosen, and where cars crashed."
+    verb = add_verb(verbs, "stats", run, "returns, lengths, actions and crashes of all episodes", description)
+    verb.add_argument("--png", type=Path, metavar="OUT.png", help="also draw them; an older picture is replaced")
+    add_json(verb)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the statistics, and draws them if asked to."""
+    picture, source = arguments.png, Path(arguments.file)
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise CarrlError(f"--png is '{picture}'; the picture is a PNG, so its name must end in .png")
+    with Log(source) as log:
+        stats = _read_stats(log)
+    if picture is not None:
+        _draw(picture, stats, f"{source.resolve().parent.name}/{source.name}")
+    if arguments.json:
+        print_json(_document(stats))
+    else:
+        _print(stats)
+    return 0
+
+
+def _draw(path: Path, stats: LogStats, title: str) -> None:
+    from carrl.view.log_stats_figure import draw_log_stats
+
+    draw_log_stats(path, stats, title)
+
+
+def _print(stats: LogStats) -> None:
+    from carrl.cli.log.console import TextConsole
+    from carrl.view.log_stats_text import print_log_stats
+
+    print_log_stats(dataclasses.replace(stats, scene=printable_scene(stats.scene)), TextConsole())
+
+
+def _read_stats(log: Log) -> LogStats:
+    """Gathers what the statistics need, holding no more than a chunk of transitions at a time.
+
+    Raises:
+        DamagedLogError: the log does not describe its world, or speaks of actions or places outside it.
+    """
+    scene = read_scene(log)
+    episodes = list(log.episodes())
+    counts, random_choices = np.zeros(len(scene.action_names), dtype=np.int64), 0
+    for batch in log.coded_batches():
+        actions = batch.columns["action"]
+        if actions.min() < 0 or actions.max() >= len(counts):
+            raise DamagedLogError(f"log '{log.path}': has an action without a name; give the log of a carrl train run")
+        counts += np.bincount(actions, minlength=len(counts))
+        random_choices += int(np.count_nonzero(batch.columns["exploratory"]))
+    if not _lie_within(episodes, scene):
+        raise DamagedLogError(f"log '{log.path}': an episode ended on no track; give the log of a carrl train run")
+    return LogStats.of(episodes, scene, counts, random_choices / max(1, int(counts.sum())))
+
+
+def _lie_within(episodes: Sequence[Episode], scene: Scene) -> bool:
+    """Whether each episode ended somewhere on an attached track, with a return that is a number."""
+    return all(
+        0 <= episode.track < len(scene.tracks) and all(map(math.isfinite, (episode.episode_return, *episode.end_pose)))
+        for episode in episodes
+    )
+
+
+def _document(stats: LogStats) -> dict[str, Any]:
+    total = int(stats.action_counts.sum())
+    counts = zip(stats.scene.action_names, stats.action_counts.tolist(), strict=True)
+    crashed = int(stats.collided.sum())
+    return {
+        "transitions": total,
+        "exploratory_share": stats.exploratory_share,
+        "actions": {name: {"count": count, "share": count / max(1, total)} for name, count in counts},
+        "episodes_ended": len(stats),
+        "ended": {"collision": crashed, "time limit": len(stats) - crashed},
+        "laps": int(stats.laps.sum()),
+        "episodes_lapped": int(np.count_nonzero(stats.laps)),
+        "episode_return": _spread(stats.returns),
+        "length": _spread(stats.lengths),
+        "crashes": _crashes(stats) if len(stats) else None,
+    }
+
+
+def _spread(values: NDArray[Any]) -> dict[str, float] | None:
+    """The figures that describe one value for each episode; None without episodes."""
+    if not len(values):
+        return None
+    low, quarter, median, three_quarters, high = np.quantile(values, [0, 0.25, 0.5, 0.75, 1]).tolist()
+    return {
+        "mean": float(values.mean()),
+        "min": low,
+        "quartile_1": quarter,
+        "median": median,
+        "quartile_3": three_quarters,
+        "max": high,
+    }
+
+
+def _crashes(stats: LogStats) -> dict[str, Any]:
+    """How many cars crashed between which gates of the track with the most episodes."""
+    gates = len(stats.track.gates)
+    sections = enumerate(stats.crashes_by_section.tolist())
+    return {
+        "track_name": stats.track.name,
+        "sections": [{"between": section_name(section, gates), "count": count} for section, count in sections],
+    }

@@ -1,0 +1,137 @@
+"""Logs of earlier runs as what there is to learn from.
+
+Shapes: `T` transitions, `A` agents, which all learn from the same ones.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from torchrl.data import TensorDictReplayBuffer
+
+from carrl.data.replay_buffer import KEYS
+from carrl.env.observation import observation_size
+from carrl.errors import LogError
+from carrl.log import Log, fill
+from carrl.sim.sensor import Sensor
+from carrl.sim.vehicle import Action
+
+Numbers = NDArray[np.float64]
+ACTION_NAMES = [action.name.lower() for action in Action]
+
+
+def check_logs(paths: Sequence[Path], sensor: Sensor, observe_action: bool) -> int:
+    """How many transitions the logs hold in all, each seen as a car with these sensors would.
+
+    Only the logs' indices, metadata and ends are read.
+
+    Args:
+        paths: of the logs.
+        sensor: whose readings the network is to understand.
+        observe_action: whether it reads the last action, too.
+
+    Raises:
+        LogError: a log is missing or damaged, or was written by a car with other sensors or actions.
+    """
+    total = 0
+    for path in paths:
+        with Log(path) as log:
+            if log.transitions:
+                _check_width(log, sensor.rays, observe_action)
+            _check_sensor(log, sensor)
+            _check_actions(log)
+            total += log.transitions
+    return total
+
+
+def fill_from_logs(buffer: TensorDictReplayBuffer, paths: Sequence[Path], agents: int) -> None:
+    """Puts every transition of the logs into the memories of all agents, a message at a time.
+
+    Raises:
+        LogError: a log is damaged, or has an action that there is not.
+    """
+    for path in paths:
+        memories: Any = _Memories(buffer, agents, path)
+        fill(memories, path)
+
+
+class _Memories:
+    """The way of a log's transitions into a buffer."""
+
+    def __init__(self, buffer: TensorDictReplayBuffer, agents: int, path: Path) -> None:
+        self._buffer, self._agents, self._path = buffer, agents, path
+
+    def extend(self, transitions: TensorDictBase) -> None:
+        """Stores transitions [T] once for each agent, [T, A]."""
+        action = transitions["action"]
+        if not ((action >= 0) & (action < len(Action))).all():
+            raise LogError(
+                f"log '{self._path}': has actions {action.min()}..{action.max()}; "
+                f"they must lie in 0..{len(Action) - 1}, {', '.join(ACTION_NAMES)}"
+            )
+        self._buffer.extend(transitions.select(*KEYS)[:, None].expand(len(transitions), self._agents))
+
+
+def _check_width(log: Log, rays: int, observe_action: bool) -> None:
+    (found,) = log.row_shapes["observation"]
+    read = observation_size(rays, observe_action)
+    if found != read:
+        raise LogError(
+            f"log '{log.path}': its observations have {found} values, the network reads {read} "
+            f"(sensor.rays={rays}, env.observe_action={str(observe_action).lower()}); "
+            "set both as in the run that wrote it"
+        )
+
+
+def _check_sensor(log: Log, sensor: Sensor) -> None:
+    reach = _numbers(log, "sensor_range_m", sensor.max_range)
+    if not _alike(reach, sensor.max_range):
+        raise LogError(
+            f"log '{log.path}': its sensor reaches {reach} m, this configuration's {sensor.max_range} m; "
+            f"set sensor.max_range={reach}"
+        )
+    angles = sensor.angles.numpy()
+    found = _numbers(log, "sensor_angles_rad", angles)
+    if not _alike(found, angles):
+        raise LogError(
+            f"log '{log.path}': its sensor has {_fan(found)}, this configuration's {_fan(angles)}; "
+            "set sensor.rays and sensor.field_of_view as in the run that wrote it"
+        )
+
+
+def _check_actions(log: Log) -> None:
+    names = _entry(log, "action_names", ACTION_NAMES)
+    if names != ACTION_NAMES:
+        raise LogError(
+            f"log '{log.path}': its actions are {names!r:.100}, this car's are {ACTION_NAMES}; "
+            "give the log of a car with the same"
+        )
+
+
+def _numbers(log: Log, key: str, default: Any) -> Numbers:
+    try:
+        return np.asarray(_entry(log, key, default), dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise LogError(f"log '{log.path}': its metadata entry '{key}' holds no numbers; give an intact log") from error
+
+
+def _entry(log: Log, key: str, default: Any) -> Any:
+    """What the log's metadata says under a key; the default where it says nothing."""
+    try:
+        return json.loads(log.metadata[key]) if key in log.metadata else default
+    except (ValueError, RecursionError) as error:
+        raise LogError(f"log '{log.path}': its metadata entry '{key}' is not JSON; give an intact log") from error
+
+
+def _alike(found: Numbers, wanted: Any) -> bool:
+    """Whether these are the same numbers up to rounding."""
+    return found.shape == np.shape(wanted) and bool(np.allclose(found, wanted, rtol=1e-5, atol=1e-6))
+
+
+def _fan(angles: Numbers) -> str:
+    return f"{angles.size} rays over {math.degrees(np.ptp(angles)):.0f} degrees" if angles.size else "no rays"

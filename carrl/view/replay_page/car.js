@@ -1,0 +1,112 @@
+// What moves: the line that was driven, the gate just passed, the sensor's rays, the car.
+
+const CAR_LEAST = 6.5; // radius of the smallest car that is drawn, px
+const FLASH_STEPS = 8; // how long a gate that was passed shines
+
+// The way driven between two positions, each step in the colour of its action.
+function drawTrail(context, episode, camera, colours, from, to) {
+  context.lineWidth = clamp(0.5 * camera.scale, 2, 3.5);
+  context.lineCap = context.lineJoin = "round";
+  const count = episode.actionNames.length;
+  for (let action = 0; action < count; action++) {
+    context.strokeStyle = colours[actionColour(action)];
+    context.beginPath();
+    traceAction(context, episode, camera, action, from, to);
+    context.stroke();
+  }
+}
+
+function traceAction(context, episode, camera, action, from, to) {
+  const { actions, poses } = episode;
+  let joined = false;
+  for (let step = stepAt(from); step < to; step++) {
+    const at = 3 * step;
+    const shown = actions[step] === action && goesOn(episode, step) && camera.sees(poses[at], poses[at + 1], 80);
+    if (shown) {
+      const [x, y] = step + 1 <= to ? [poses[at + 3], poses[at + 4]] : poseAt(episode, to);
+      if (!joined) context.moveTo(camera.toX(poses[at]), camera.toY(poses[at + 1]));
+      context.lineTo(camera.toX(x), camera.toY(y));
+    }
+    joined = shown;
+  }
+}
+
+// The gates passed in the last steps shine, less and less.
+function drawFlash(context, episode, camera, colours, position) {
+  for (let i = gatesPassedAt(episode, position) - 1; i >= 0; i--) {
+    const [step, gate] = episode.passings[i];
+    const age = (position - step - 1) / FLASH_STEPS;
+    if (age >= 1) return;
+    context.strokeStyle = faded(colours.good, 1 - age * age);
+    context.lineCap = "round";
+    context.lineWidth = clamp(0.8 * camera.scale, 3, 8);
+    strokeLine(context, gateEnds(episode, camera, gate));
+  }
+}
+
+// A line for each ray, and a dot where it ends at a wall and not at the sensor's range.
+function drawRays(context, episode, camera, colours, position) {
+  const [x, y, heading] = poseAt(episode, position);
+  const thickness = clamp(0.2 * camera.scale, 1, 2);
+  for (let ray = 0; ray < episode.rays; ray++) {
+    const range = rangeAt(episode, position, ray);
+    if (!Number.isFinite(range)) continue;
+    const angle = heading + episode.sensorAngles[ray];
+    const [endX, endY] = [camera.toX(x + range * Math.cos(angle)), camera.toY(y + range * Math.sin(angle))];
+    const reading = range / episode.sensorRange;
+    context.strokeStyle = context.fillStyle = nearnessColour(colours, reading);
+    context.lineWidth = reading < 0.1 ? 2 * thickness : thickness;
+    strokeLine(context, [camera.toX(x), camera.toY(y), endX, endY]);
+    if (reading < 0.999) fillDisc(context, endX, endY, 1.6 * thickness + 0.8);
+  }
+}
+
+// The car's disc, to scale unless that is too small to see, with a nose in front of it.
+function drawCar(context, episode, camera, colours, position) {
+  const [x, y, heading] = poseAt(episode, position);
+  const radius = Math.max(episode.bodyRadius * camera.scale, CAR_LEAST);
+  context.save();
+  context.translate(camera.toX(x), camera.toY(y));
+  context.rotate(-heading);
+  context.lineWidth = clamp(0.2 * radius, 1.5, 3);
+  context.lineJoin = "round";
+  context.strokeStyle = colours.rim;
+  context.fillStyle = colours.car;
+  drawNose(context, radius);
+  fillDisc(context, 0, 0, radius);
+  context.stroke();
+  context.restore();
+}
+
+function drawNose(context, radius) {
+  context.beginPath();
+  context.moveTo(0.6 * radius, -0.8 * radius);
+  context.lineTo(1.75 * radius, 0);
+  context.lineTo(0.6 * radius, 0.8 * radius);
+  context.closePath();
+  context.fill();
+  context.stroke();
+}
+
+// A cross where the episode ended at a wall.
+function drawCrash(context, episode, camera, colours, position) {
+  if (episode.ended !== "collision" || position < episode.steps) return;
+  const [x, y] = poseAt(episode, episode.steps);
+  const reach = 1.7 * Math.max(episode.bodyRadius * camera.scale, CAR_LEAST);
+  context.lineCap = "round";
+  for (const [colour, width] of [[colours.ground, 7], [colours.bad, 4]]) {
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    for (const side of [-1, 1]) {
+      const [dx, dy] = [reach, side * reach];
+      strokeLine(context, [camera.toX(x) - dx, camera.toY(y) - dy, camera.toX(x) + dx, camera.toY(y) + dy]);
+    }
+  }
+}
+
+function drawMoment(context, episode, camera, colours, position) {
+  drawFlash(context, episode, camera, colours, position);
+  drawRays(context, episode, camera, colours, position);
+  drawCrash(context, episode, camera, colours, position);
+  drawCar(context, episode, camera, colours, position);
+}

@@ -1,0 +1,81 @@
+// The episode as the log has it, and what follows from it.
+// T steps, R rays, A actions, K terms of the reward. Lengths in metres, angles in radians, times in seconds.
+// A position is a recorded step and the share of it that is driven, 0..T; at T the last step is done. A step's number is
+// that within the episode: it is larger where the log lacks steps.
+
+const ARRAYS = { "<f4": Float32Array, "<i4": Int32Array, "|u1": Uint8Array };
+
+async function unpack([kind, base64]) {
+  const packed = Uint8Array.from(atob(base64), (character) => character.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new ARRAYS[kind](await new Response(stream).arrayBuffer());
+}
+
+async function readEpisode() {
+  const { arrays, ...episode } = JSON.parse(byId("episode").textContent);
+  const unpacked = await Promise.all(Object.values(arrays).map(unpack));
+  Object.keys(arrays).forEach((name, i) => (episode[name] = unpacked[i]));
+  episode.steps = episode.actions.length;
+  episode.rays = episode.sensorAngles.length;
+  episode.returns = runningSum(episode.rewards);
+  episode.gateCount = episode.gates.length / 4;
+  episode.road = roadPath(episode);
+  return episode;
+}
+
+function runningSum(values) {
+  const sums = new Float64Array(values.length + 1);
+  values.forEach((value, i) => (sums[i + 1] = sums[i] + value));
+  return sums;
+}
+
+// Index of the step that is driven at a position; T after the last one.
+const stepAt = (position) => Math.floor(position);
+
+// Whether the log has the step after a step, so that the way between them is known.
+const goesOn = (episode, step) => episode.stepNumbers[step + 1] - episode.stepNumbers[step] === 1;
+
+// How many steps the log lacks, from the beginning of the episode to the last one.
+const missingSteps = (episode) => episode.stepNumbers[episode.steps] - episode.steps;
+
+// x, y and heading; between two steps the way the car turns is the shorter one.
+function poseAt(episode, position) {
+  const step = stepAt(position);
+  const share = position - step;
+  const [x, y, heading] = episode.poses.subarray(3 * step, 3 * step + 3);
+  if (share === 0 || !goesOn(episode, step)) return [x, y, heading];
+  const [nextX, nextY, nextHeading] = episode.poses.subarray(3 * step + 3, 3 * step + 6);
+  const turn = Math.atan2(Math.sin(nextHeading - heading), Math.cos(nextHeading - heading));
+  return [x + share * (nextX - x), y + share * (nextY - y), heading + share * turn];
+}
+
+// What a ray reads; a reading that jumps, as from one wall to another, stays until the step is done.
+function rangeAt(episode, position, ray) {
+  const step = stepAt(position);
+  const now = episode.ranges[step * episode.rays + ray];
+  if (position === step || !goesOn(episode, step)) return now;
+  const next = episode.ranges[(step + 1) * episode.rays + ray];
+  return Math.abs(next - now) < 0.2 * episode.sensorRange ? now + (position - step) * (next - now) : now;
+}
+
+// How many gates were passed in the steps before a position.
+function gatesPassedAt(episode, position) {
+  const step = stepAt(position);
+  let low = 0;
+  let high = episode.passings.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (episode.passings[middle][0] < step) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+const actionName = (episode, action) => episode.actionNames[action] ?? `action ${action}`;
+
+// Share of the steps in which each action was chosen.
+function actionShares(episode) {
+  const counts = new Array(episode.actionNames.length).fill(0);
+  for (const action of episode.actions) counts[action] += 1;
+  return counts.map((count) => count / episode.steps);
+}

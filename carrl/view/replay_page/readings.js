@@ -1,0 +1,127 @@
+// The episode and its moment in words and numbers.
+
+const ENDINGS = {
+  collision: "ended by a collision",
+  "time limit": "cut at the time limit",
+  unfinished: "unfinished in the log",
+};
+
+function showFacts(episode) {
+  const badge = byId("ended");
+  badge.textContent = ENDINGS[episode.ended];
+  badge.classList.toggle("collision", episode.ended === "collision");
+  byId("facts").textContent = [
+    `Track ${episode.trackName}`,
+    `${formatNumber(episode.trackLength, 0)} m`,
+    formatCount(episode.gateCount, "gate"),
+    `episode ${formatNumber(episode.episode, 0)}`,
+    `car ${episode.car}`,
+    formatCount(episode.steps, "step"),
+    ...(missingSteps(episode) ? [`${formatNumber(missingSteps(episode), 0)} more not in the log`] : []),
+  ].join(" · ");
+  byId("return-total").textContent = `return ${formatReward(episode.returns[episode.steps])}`;
+  byId("duration").textContent = `/ ${formatSeconds(episode.times[episode.steps])}`;
+  byId("read-steps").textContent = `of ${formatNumber(episode.stepNumbers[episode.steps], 0)}`;
+  showLegend(episode);
+}
+
+function showLegend(episode) {
+  const shares = actionShares(episode);
+  const items = shares.map((share, action) => {
+    const percent = element("span", "wide", `${Math.round(100 * share)} %`);
+    return element("li", "", swatchOf(action), element("span", "", actionName(episode, action)), percent);
+  });
+  byId("legend").replaceChildren(...items);
+}
+
+// Called once; the returned function shows a position, and touches the page only where its step changes.
+function makeReadings(episode) {
+  const rows = makeValueRows(episode);
+  const terms = makeTermCells(episode);
+  let shown = -1;
+  return (position) => {
+    const step = stepAt(position);
+    byId("now").textContent = formatSeconds(timeAt(episode, position));
+    if (step === shown) return;
+    shown = step;
+    showMoment(episode, step);
+    showValues(episode, step, rows);
+    showTerms(episode, step, terms);
+    showNearest(episode, step);
+  };
+}
+
+// Seconds since the first recorded step.
+function timeAt(episode, position) {
+  const step = stepAt(position);
+  const share = position - step;
+  return share === 0 ? episode.times[step] : (1 - share) * episode.times[step] + share * episode.times[step + 1];
+}
+
+function showMoment(episode, step) {
+  const over = step >= episode.steps;
+  byId("read-step").textContent = formatNumber(episode.stepNumbers[step], 0);
+  byId("read-action").replaceChildren(over ? element("span", "faint", episode.ended) : chosenAction(episode, step));
+  byId("read-time").textContent = formatSeconds(episode.times[step]);
+  byId("read-time").title = `${formatSeconds(episode.startTime + episode.times[step])} since the start of the run`;
+  byId("read-gates").textContent = formatNumber(gatesPassedAt(episode, step), 0);
+  byId("read-epsilon").textContent = over ? "–" : formatNumber(episode.epsilons[step], 3);
+  byId("read-return").textContent = formatReward(episode.returns[step]);
+  showReward(byId("read-reward"), over ? null : episode.rewards[step]);
+}
+
+function chosenAction(episode, step) {
+  const action = episode.actions[step];
+  const random = episode.exploratory[step] === 1;
+  return element(
+    "span", "chosen", swatchOf(action), element("span", "", actionName(episode, action)),
+    element("span", random ? "chip random" : "chip", random ? "exploratory" : "greedy"),
+  );
+}
+
+function showReward(place, reward) {
+  place.textContent = reward === null ? "–" : formatSigned(reward);
+  place.className = reward > 0 ? "good" : reward < 0 ? "bad" : "";
+}
+
+function makeTermCells(episode) {
+  const values = episode.termNames.map(() => element("dd", ""));
+  const cells = values.map((value, term) => element("div", "", element("dt", "", episode.termNames[term]), value));
+  byId("terms").replaceChildren(...cells);
+  return values;
+}
+
+function showTerms(episode, step, places) {
+  places.forEach((place, term) => {
+    const value = step >= episode.steps ? null : episode.terms[step * places.length + term];
+    showReward(place, value);
+    place.parentElement.classList.toggle("none", !value);
+  });
+}
+
+function makeValueRows(episode) {
+  const rows = episode.actionNames.map((name, action) => {
+    const value = element("span", "value");
+    const row = element("li", "", swatchOf(action), element("span", "", name), value);
+    return { row, value };
+  });
+  byId("value-list").replaceChildren(...rows.map(({ row }) => row));
+  return rows;
+}
+
+function showValues(episode, step, rows) {
+  const over = step >= episode.steps;
+  rows.forEach(({ row, value }, action) => {
+    value.textContent = over ? "–" : formatNumber(episode.values[step * rows.length + action], 2);
+    row.classList.toggle("taken", !over && action === episode.actions[step]);
+  });
+}
+
+function showNearest(episode, step) {
+  let [least, angle] = [Infinity, 0];
+  for (let ray = 0; ray < episode.rays; ray++) {
+    const range = rangeAt(episode, step, ray);
+    if (range < least) [least, angle] = [range, episode.sensorAngles[ray]];
+  }
+  byId("nearest").textContent = least === Infinity ? "no reading" : `nearest ${formatNumber(least, 1)} m, ${angleName(angle)}`;
+}
