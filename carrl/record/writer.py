@@ -26,8 +26,11 @@ from carrl.record.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METADATA_NAME
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-FLUSH_INTERVAL_S = 1.0
-"""Wall time after which what is held back goes to disk with the next batch."""
+FLUSH_INTERVAL_S = 0.95
+"""Wall time after which what is held back goes to disk with the next batch.
+
+Less than a second, so that of batches that come each second every one goes to disk at once, not every other one.
+"""
 CHUNK_BYTES = 2**20
 """How many bytes of messages are held back, to be compressed together."""
 MIN_FILE_BYTES = 2**20
@@ -39,7 +42,7 @@ class LogWriter:
     """A log being written; use it in a `with` statement, or call `close` at the end.
 
     Attachments and metadata are on disk before the constructor returns. Everything else is compressed in chunks; a
-    chunk goes to disk when it is full (1 MiB), or with the first batch that comes 1 s or more after the last flush.
+    chunk goes to disk when it is full (1 MiB), or with the first batch that comes about a second after the last flush.
     Ended episodes and metrics have chunks of their own, so that they can be listed without unpacking a transition.
 
     Args:
