@@ -3,15 +3,18 @@
 import random
 import tempfile
 import time
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.child import BenchError
 from benchmarks.log_faults.contents import LogContents, read_contents
+from benchmarks.log_faults.sample import Piece, read_sample
 from benchmarks.log_faults.training import Note, Tear, TrainingRun
 from carrl.log import recover, verify
 from carrl.record.metadata import CHECKSUM
+from carrl.record.schema import TRANSITIONS
 
 MOST_LOST_S = 2.0
 """What a killed run may lose of its transitions: those of so many seconds before."""
@@ -37,6 +40,7 @@ class Reference:
         seconds: from its start until its log was closed.
         writes: to the log before the first transition.
         closing_writes: to the log while it was closed.
+        longest_wait_s: from the making of a transition to the write that took it to the log, s.
     """
 
     overrides: Sequence[str]
@@ -44,6 +48,7 @@ class Reference:
     seconds: float
     writes: int
     closing_writes: int
+    longest_wait_s: float
 
 
 @dataclass
@@ -84,7 +89,22 @@ def run_to_the_end(overrides: Sequence[str]) -> Reference:
         kinds = [note.kind for note in notes]
         writes = kinds[: kinds.index("transitions")].count("write")
         closing_writes = kinds[kinds.index("close") :].count("write")
-        return Reference(overrides, read_contents(run.log), notes[-1].time_s - run.started_s, writes, closing_writes)
+        sample = read_sample(run.log)
+        wait_s = longest_wait(notes, sample.pieces)
+        return Reference(overrides, sample.says, notes[-1].time_s - run.started_s, writes, closing_writes, wait_s)
+
+
+def longest_wait(notes: Sequence[Note], pieces: Sequence[Piece]) -> float:
+    """The longest that a transition waited for the write that took it to the log, s."""
+    chunks = [piece for piece in pieces if piece.kind == "chunk"]
+    writes = [note.time_s for note in notes if note.kind == "write"][-len(chunks) - 1 : -1]  # the last: the summary
+    made = [note for note in notes if note.kind == "transitions"]
+    firsts = [(written_s, chunk.holds.get(TRANSITIONS)) for written_s, chunk in zip(writes, chunks, strict=True)]
+    return max(
+        written_s - made[bisect_right(made, first.start, key=lambda note: note.value)].time_s
+        for written_s, first in firsts
+        if first
+    )
 
 
 def kill_one(reference: Reference, moment: str, draw: random.Random) -> Kill:

@@ -35,8 +35,9 @@ def main(argv: list[str] | None = None) -> int:
     machine = describe_machine()
     print(machine_line(machine) + "\n")
     kills: list[Kill] = []
+    waits_s: list[float] = []
     try:
-        _kill_runs(arguments, kills)
+        _kill_runs(arguments, kills, waits_s)
         code = int(any(kill.faults for kill in kills))
     except BenchError as error:
         print(f"scripts/faults kills: {error}", file=sys.stderr)
@@ -44,8 +45,9 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         code = 130
     print_results(kills, table)
+    print(f"No transition of a run that nobody killed waited longer than {max(waits_s, default=0):.2f} s for the disk.")
     if arguments.json:
-        result: dict[str, Any] = {"machine": machine, "kills": [asdict(kill) for kill in kills]}
+        result: dict[str, Any] = {"machine": machine, "waits_s": waits_s, "kills": [asdict(kill) for kill in kills]}
         arguments.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return code
 
@@ -62,12 +64,13 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _kill_runs(arguments: argparse.Namespace, kills: list[Kill]) -> None:
-    """Adds the kills one by one."""
+def _kill_runs(arguments: argparse.Namespace, kills: list[Kill], waits_s: list[float]) -> None:
+    """Adds the kills one by one, and before, for each seed, the longest wait of a transition."""
     preload()
     references = []
     for seed in range(min(arguments.run_seeds, arguments.kills)):
         references.append(run_to_the_end([f"experiment={arguments.experiment}", f"seed={seed}", *arguments.overrides]))
+        waits_s.append(references[-1].longest_wait_s)
         tell(f"seed {seed}: {len(references[-1].contents.rows):,} transitions in {references[-1].seconds:.1f} s")
     draw = random.Random(arguments.seed)
     for number in range(arguments.kills):

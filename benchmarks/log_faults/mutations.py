@@ -21,6 +21,8 @@ from benchmarks.log_faults.sample import Sample, train_sample
 from benchmarks.machine import describe_machine, machine_line
 from benchmarks.options import Parser, positive, tell, writable
 
+FRAMES = (1504, 1208)
+"""Env steps of the run whose log is damaged, and of the one whose log is mixed up with it."""
 HEADER = ("damage", "files", "nothing left", "transitions kept: median", "least", "metadata lost", "faults")
 NOTES = (
     "nothing left: not one intact record, and not even the mark that a log begins with; recovery says so.",
@@ -41,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
     outcomes: Outcomes = []
     try:
         tell("training the runs whose logs are damaged")
-        own, other = (train_sample(arguments.experiment, seed, frames) for seed, frames in ((0, 1504), (1, 1208)))
+        own, other = (train_sample(arguments.experiment, seed, frames) for seed, frames in enumerate(FRAMES))
         size, pieces = len(own.content), len(own.pieces)
         print(f"A log of {len(own.says.rows):,} transitions, {size:,} bytes, {pieces} records to recover.\n")
         before = _peak_memory()

@@ -26,10 +26,10 @@ from carrl.record.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METADATA_NAME
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-FLUSH_INTERVAL_S = 0.95
+FLUSH_INTERVAL_S = 0.5
 """Wall time after which what is held back goes to disk with the next batch.
 
-Less than a second, so that of batches that come each second every one goes to disk at once, not every other one.
+Training hands over a batch at least every second, so that a kill costs about 1.5 s at most.
 """
 CHUNK_BYTES = 2**20
 """How many bytes of messages are held back, to be compressed together."""
@@ -42,7 +42,7 @@ class LogWriter:
     """A log being written; use it in a `with` statement, or call `close` at the end.
 
     Attachments and metadata are on disk before the constructor returns. Everything else is compressed in chunks; a
-    chunk goes to disk when it is full (1 MiB), or with the first batch that comes about a second after the last flush.
+    chunk goes to disk when it is full (1 MiB), or with the first batch that comes 0.5 s or more after the last flush.
     Ended episodes and metrics have chunks of their own, so that they can be listed without unpacking a transition.
 
     Args:

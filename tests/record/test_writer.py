@@ -79,7 +79,7 @@ def test_a_batch_that_comes_after_the_flush_interval_takes_the_earlier_ones_to_d
     clock = [100.0]
     monkeypatch.setattr(writer_module.time, "monotonic", lambda: clock[0])
     with new_writer(tmp_path / "a.mcap") as writer:
-        for clock[0], on_disk in ((100.0, 0), (100.9, 0), (101.0, 3), (101.9, 3), (102.1, 5)):
+        for clock[0], on_disk in ((100.0, 0), (100.4, 0), (100.5, 3), (100.9, 3), (101.1, 5)):
             writer.write(transitions(3))
             assert len(messages_on_disk(tmp_path / "a.mcap")) == on_disk
 
