@@ -1,12 +1,12 @@
 """Checkpoints: what a run has learnt, saved so that loading runs no code."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from carrl.errors import CheckpointError
+from carrl.files import appearing_whole
 
 FORMAT_VERSION = 1
 
@@ -17,11 +17,10 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Raises:
         CheckpointError: the disk refuses it.
     """
-    partial_path = path.with_suffix(".partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        torch.save({"format_version": FORMAT_VERSION, **state}, partial_path)
-        os.replace(partial_path, path)
+        with appearing_whole(path, CheckpointError) as partial:
+            torch.save({"format_version": FORMAT_VERSION, **state}, partial)
     except (OSError, RuntimeError) as error:
         raise CheckpointError(f"checkpoint '{path}' cannot be written: {error}") from error
 

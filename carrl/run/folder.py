@@ -11,7 +11,6 @@ learning_curve.png, lap.png
 
 import csv
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +20,7 @@ import yaml
 from tensordict import TensorDictBase
 
 from carrl.errors import CarrlError, CheckpointError
+from carrl.files import write_whole
 from carrl.record.messages import Episode, Metrics
 from carrl.record.writer import LogWriter
 from carrl.run.build import build_network, observes_action
@@ -177,12 +177,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         CarrlError: the disk refuses it.
     """
-    partial_path = path.with_name(path.name + ".partial")
-    try:
-        partial_path.write_text(text, encoding="utf-8")
-        os.replace(partial_path, path)
-    except OSError as error:
-        raise CarrlError(f"'{path}' cannot be written: {error.strerror}") from error
+    write_whole(path, text.encode())
 
 
 class _Table:

@@ -9,17 +9,15 @@ from collections.abc import Callable, Sequence
 import torch
 from tensordict import TensorDictBase
 
-import carrl
 from carrl.data.replay_buffer import KEYS
 from carrl.record.messages import Metrics
 from carrl.record.schema import COLUMNS
-from carrl.run.agent_run import AgentRun
 from carrl.run.build import Pipeline
 from carrl.run.episodes import EpisodeTracker
-from carrl.run.evaluation import drive_from
 from carrl.run.folder import RunFolder
 from carrl.run.metrics import mean_action_value, td_error
 from carrl.run.moment import Moment
+from carrl.run.training import Training
 
 LOGGED_TOGETHER = 2048
 """Env steps of each agent after which they are logged."""
@@ -31,7 +29,7 @@ LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)
 """The log's columns, and what the loss reads besides."""
 
 
-class Trainer:
+class Trainer(Training):
     """Trains agents side by side, each until it reaches a limit or `stop` is called.
 
     The order of a round: every car takes its steps; the transitions are stored and logged; then there is one update
@@ -44,44 +42,22 @@ class Trainer:
     """
 
     def __init__(self, pipeline: Pipeline, folders: Sequence[RunFolder]) -> None:
+        super().__init__(pipeline, folders)
         self._pipeline = pipeline
         agents = pipeline.agents
         cars = pipeline.env.batch_size[0] // len(agents)
         time_step = pipeline.env.simulator.vehicle.time_step
         self._tracker = EpisodeTracker(len(agents), cars, pipeline.env.track.gate_count, time_step)
-        self._began = time.monotonic()
-        self._stopping = False
         self._evaluated_at = 0
         self._unlogged: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, self._began
         self._measured, self._measured_at = 0, self._began
-        self.runs = [AgentRun(agent, folder) for agent, folder in zip(agents, folders, strict=True)]
         self._active = dict(enumerate(self.runs))
 
     @property
     def frames(self) -> int:
         """Env steps done by each agent that is not over yet."""
         return self._tracker.frames
-
-    @property
-    def wall_time_s(self) -> float:
-        """Seconds since the trainer was made."""
-        return time.monotonic() - self._began
-
-    @property
-    def start_up_s(self) -> float:
-        """Seconds from the first import of CarRL to the trainer's making: all of a process but its first instant."""
-        return self._began - carrl._IMPORTED_AT
-
-    @property
-    def first_update_s(self) -> float | None:
-        """Seconds from the trainer's making to its first update, compilation included; None before that."""
-        first = self._pipeline.learner.first_update_at
-        return None if first is None else first - self._began
-
-    def stop(self) -> None:
-        """Ends all runs after the present round, with everything saved."""
-        self._stopping = True
 
     def run(self, on_round: Callable[["Trainer"], None]) -> None:
         """Trains; `on_round` is called after every round of collecting and learning.
@@ -166,11 +142,8 @@ class Trainer:
         return Moment(self.frames, pipeline.learner.updates, pipeline.exploration.epsilon, loss, self.wall_time_s)
 
     def _evaluate(self) -> None:
-        """Drives a greedy lap with every agent's network, side by side."""
-        pipeline = self._pipeline
         self._evaluated_at = self.frames
-        start_line = torch.zeros(len(self.runs))
-        drives = drive_from(pipeline.env.simulator, pipeline.world.reward, pipeline.policy.actions, start_line)
+        drives = self._drive(self._pipeline.env.simulator)
         for index, run in self._active.items():
             run.add_evaluation(drives[index], self._moment(run.moment.loss))
 
