@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,69 +135,70 @@ def _train(folder: Path, overrides: list[str], tear: Tear | None, constants: Map
         console = stack.enter_context((folder / _CONSOLE).open("w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(console))
         stack.enter_context(redirect_stderr(console))
-        notes = stack.enter_context((folder / _NOTES).open("ab", buffering=0))
         for name, value in constants.items():
             stack.enter_context(patch(name, value))
-        stack.enter_context(_noting(lambda kind, value=None: _write_note(notes, kind, value), tear))
+        watch = _Watch(stack.enter_context((folder / _NOTES).open("ab", buffering=0)), tear)
+        for patched in watch.patches():
+            stack.enter_context(patched)
         code = main(["train", *overrides])
     sys.exit(code)
 
 
-def _write_note(file: Any, kind: str, value: Any) -> None:
-    file.write(pickle.dumps(Note(time.monotonic(), kind, value)))
+class _Watch:
+    """Notes what CarRL in this process is about to do, and kills the process where the tear says."""
 
+    def __init__(self, file: Any, tear: Tear | None) -> None:
+        self._file, self._tear = file, tear
+        self._transitions = self._episodes = self._writes = 0
+        self._closing = False
 
-@contextmanager
-def _noting(note: Callable[..., None], tear: Tear | None) -> Iterator[None]:
-    """Has CarRL tell what it is about to do, and kills it where the tear says."""
-    from carrl.record import mcap_file
-    from carrl.record.writer import LogWriter
-    from carrl.run.trainer import Trainer
+    def patches(self) -> Iterator[Any]:
+        """What to put in the place of CarRL's functions: notes, then the functions themselves."""
+        from carrl.record import mcap_file
+        from carrl.record.writer import LogWriter
+        from carrl.run.trainer import Trainer
 
-    originals = (Trainer._learn_from, LogWriter.write_episode, LogWriter.write_metrics, LogWriter.close)
-    learn_from, write_episode, write_metrics, close = originals
-    write_at = mcap_file._write_at
-    transitions = episodes = writes = 0
-    closing = False
+        for owner, name, look in (
+            (Trainer, "_learn_from", self._see_transitions),
+            (LogWriter, "write_episode", self._see_episode),
+            (LogWriter, "write_metrics", self._see_metrics),
+            (LogWriter, "close", self._see_closing),
+            (mcap_file, "_write_at", self._see_write),
+        ):
+            yield patch.object(owner, name, _preceded(look, getattr(owner, name)))
 
-    def noted_learn_from(self: Trainer, batch: Any) -> None:
-        nonlocal transitions
-        transitions = self.frames + batch.numel()
-        note("transitions", transitions)
-        learn_from(self, batch)
+    def _see_transitions(self, trainer: Any, batch: Any) -> None:
+        self._transitions = trainer.frames + batch.numel()
+        self._note("transitions", self._transitions)
 
-    def noted_write_episode(self: LogWriter, episode: Any) -> None:
-        nonlocal episodes
-        episodes += 1
-        note("episodes", episodes)
-        write_episode(self, episode)
+    def _see_episode(self, _writer: Any, _episode: Any) -> None:
+        self._episodes += 1
+        self._note("episodes", self._episodes)
 
-    def noted_write_metrics(self: LogWriter, metrics: Any) -> None:
-        note("metrics", message_bytes(METRICS, metrics))
-        write_metrics(self, metrics)
+    def _see_metrics(self, _writer: Any, metrics: Any) -> None:
+        self._note("metrics", message_bytes(METRICS, metrics))
 
-    def noted_close(self: LogWriter) -> None:
-        nonlocal closing
-        if not self.closed:
-            note("close")
-            closing = True
-        close(self)
+    def _see_closing(self, writer: Any) -> None:
+        if not writer.closed:
+            self._closing = True
+            self._note("close")
 
-    def noted_write_at(descriptor: int, content: bytes, offset: int) -> None:
-        nonlocal writes
-        note("write")
-        if tear and (closing if tear.transitions is None else transitions >= tear.transitions):
-            if writes == tear.number:
+    def _see_write(self, descriptor: int, content: bytes, offset: int) -> None:
+        self._note("write")
+        tear = self._tear
+        if tear and (self._closing if tear.transitions is None else self._transitions >= tear.transitions):
+            if self._writes == tear.number:
                 os.pwrite(descriptor, content[: round(tear.share * len(content))], offset)
                 os.kill(os.getpid(), signal.SIGKILL)
-            writes += 1
-        write_at(descriptor, content, offset)
+            self._writes += 1
 
-    with (
-        patch.object(Trainer, "_learn_from", noted_learn_from),
-        patch.object(LogWriter, "write_episode", noted_write_episode),
-        patch.object(LogWriter, "write_metrics", noted_write_metrics),
-        patch.object(LogWriter, "close", noted_close),
-        patch.object(mcap_file, "_write_at", noted_write_at),
-    ):
-        yield
+    def _note(self, kind: str, value: Any = None) -> None:
+        self._file.write(pickle.dumps(Note(time.monotonic(), kind, value)))
+
+
+def _preceded(look: Callable[..., None], function: Callable[..., Any]) -> Callable[..., Any]:
+    def call(*arguments: Any) -> Any:
+        look(*arguments)
+        return function(*arguments)
+
+    return call

@@ -1,12 +1,13 @@
 """Checkpoints: what a run has learnt, saved so that loading runs no code."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from carrl.errors import CheckpointError
-from carrl.files import appearing_whole
+from carrl.files import write_whole
 
 FORMAT_VERSION = 1
 
@@ -17,12 +18,13 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Raises:
         CheckpointError: the disk refuses it.
     """
+    content = BytesIO()  # not the file itself, whose name torch would put into it
+    torch.save({"format_version": FORMAT_VERSION, **state}, content)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with appearing_whole(path, CheckpointError) as partial:
-            torch.save({"format_version": FORMAT_VERSION, **state}, partial)
-    except (OSError, RuntimeError) as error:
-        raise CheckpointError(f"checkpoint '{path}' cannot be written: {error}") from error
+    except OSError as error:
+        raise CheckpointError(f"checkpoint '{path}' cannot be written: {error.strerror}") from error
+    write_whole(path, content.getvalue(), CheckpointError)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
