@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Action
+from carrl.view.action_colours import action_colours
 from carrl.view.close_up import draw_close_up
-from carrl.view.figure import BLACK, BLUE, GREEN, INK, VERMILLION, YELLOW, save_png
+from carrl.view.figure import BLACK, GREEN, INK, YELLOW, save_png
 from carrl.view.track_map import Floats, TrackMap, draw_track_map
 
-ACTION_COLOURS = {Action.FORWARD: BLACK, Action.LEFT: VERMILLION, Action.RIGHT: BLUE}
+ACTION_COLOURS = dict(zip(Action, action_colours(len(Action)), strict=True))
 MOST_CARS = 6
 """At how many places along the drive the car is drawn."""
 LEAST_GAP = 70.0
