@@ -14,6 +14,9 @@ WIDTH = 7.0
 DPI = 130
 """Pixels per inch: a figure is 910 pixels wide, about as wide as a README."""
 
+PAPER = "#ffffff"
+ROAD, WALL, GATE = "#dcdcdc", "#555555", "#ffffff"
+"""Of a track on a white ground."""
 INK = "#222222"
 FAINT = "#6b6b6b"
 BLACK = "#000000"

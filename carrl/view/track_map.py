@@ -19,13 +19,10 @@ from numpy.typing import NDArray
 
 from carrl.sim.bridges import Bridge, on_stretch
 from carrl.sim.track import Track
-from carrl.view.figure import INK, WIDTH, new_figure
+from carrl.view.figure import GATE, INK, ROAD, WALL, WIDTH, new_figure
 
 Floats = NDArray[np.floating]
 
-ROAD = "#dcdcdc"
-WALL = "#555555"
-GATE = "#ffffff"
 MOST_GATE_NUMBERS = 24
 MARGIN, HEAD, FOOT, TALLEST = 32.0, 14.0, 24.0, 430.0
 """Room for labels around the road, for the title and for the legend, and the most height of the road itself; points."""

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from carrl.view.figure import BLACK, BLUE, FAINT, GREEN, INK, VERMILLION, YELLOW
+from carrl.view.figure import BLACK, BLUE, FAINT, GREEN, INK, PAPER, ROAD, VERMILLION, WALL, YELLOW
 
-PAPER, ROAD, GATE = "#ffffff", "#dcdcdc", "#ffffff"
-WALL, OLD_TRAIL, TO_COME, RULE = "#555555", "#a8a8a8", "#c4c4c4", "#e0e0e0"
-"""Walls, the line driven long ago, the return still to come, thin lines between parts of the panel."""
+OLD_TRAIL, TO_COME, RULE = "#a8a8a8", "#c4c4c4", "#e0e0e0"
+"""The line driven long ago, the return still to come, thin lines between parts of the panel."""
 _FOREGROUNDS = (INK, FAINT, BLACK, BLUE, VERMILLION, GREEN, YELLOW, WALL, OLD_TRAIL, TO_COME, RULE)
 _BACKGROUNDS = (PAPER, ROAD, YELLOW)
 _SHADES = 8

@@ -6,10 +6,9 @@ Shapes: `G` gates, `N` points of a line. Lengths on the track are in metres, in 
 import numpy as np
 
 from carrl.record.scene import Floats
-from carrl.view.figure import FAINT, GREEN, INK
+from carrl.view.figure import FAINT, GATE, GREEN, INK, ROAD, WALL
 from carrl.view.video.camera import Area, View
 from carrl.view.video.canvas import Canvas, Stroke
-from carrl.view.video.colours import GATE, ROAD, WALL
 
 SCALES = 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000
 """Lengths that a scale bar may have, m."""

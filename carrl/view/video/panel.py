@@ -10,9 +10,9 @@ import numpy as np
 
 from carrl.record.scene import Floats
 from carrl.record.trace import EpisodeTrace
-from carrl.view.figure import BLUE, FAINT, GREEN, INK, VERMILLION
+from carrl.view.figure import BLUE, FAINT, GREEN, INK, PAPER, VERMILLION
 from carrl.view.video.canvas import HEIGHT, WIDTH, Canvas, Stroke
-from carrl.view.video.colours import PAPER, RULE, TO_COME
+from carrl.view.video.colours import RULE, TO_COME
 
 EDGE, LEFT, RIGHT = 900.0, 926.0, 1254.0
 """The panel's left edge, and where its text begins and ends."""

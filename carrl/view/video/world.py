@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from carrl.record.scene import Floats
 from carrl.record.trace import EpisodeTrace
 from carrl.view.episode_geometry import steps_of
-from carrl.view.figure import FAINT, GREEN, INK, VERMILLION, YELLOW
+from carrl.view.figure import FAINT, GREEN, INK, PAPER, VERMILLION, YELLOW
 from carrl.view.video.camera import LEAST_SCALE, Area, View, follow_scale, whole
 from carrl.view.video.canvas import Canvas, Stroke
-from carrl.view.video.colours import OLD_TRAIL, PAPER, TO_COME
+from carrl.view.video.colours import OLD_TRAIL, TO_COME
 from carrl.view.video.ground import draw_ground, draw_scale_bar
 from carrl.view.wall_lines import connected_walls
 
