@@ -13,7 +13,8 @@ import torch
 from tensordict import TensorDict
 
 from benchmarks import figures
-from benchmarks.log_reading import READINGS
+from benchmarks.log_reading import READINGS, THROUGH_ALL
+from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.agent.network import make_q_network
 from carrl.env.track_env import TrackEnv
@@ -51,19 +52,28 @@ class Measurement:
     bytes_each: float | None = None
     peak_bytes: int | None = None
 
+    @property
+    def reads_or_writes_all(self) -> bool:
+        """Whether every transition passed, so that there is a speed to tell."""
+        return self.peak_bytes is None or self.what == THROUGH_ALL
+
 
 def main(argv: list[str] | None = None) -> int:
     """Measures and prints; returns 0, or 1 if what was loaded is not what was written."""
     parser = Parser(prog="scripts/bench log", description=__doc__)
     parser.add_argument("--transitions", type=positive(int), default=1_000_000, metavar="N")
+    parser.add_argument("--training", action="store_true", help="measure the share of training that logging takes")
     parser.add_argument("--markdown", action="store_true", help="print a table for a page")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
+    table = figures.markdown_table if arguments.markdown else figures.plain_table
+    if arguments.training:
+        print(table(SHARE_HEADER, share_rows()))
+        return 0
     tell(f"driving {arguments.transitions:,} transitions")
     transitions, episodes = drive(int(arguments.transitions))
     with tempfile.TemporaryDirectory() as folder:
         rows, same = measure(Path(folder), transitions, episodes)
-    table = figures.markdown_table if arguments.markdown else figures.plain_table
     print(table(HEADER, [_row(row) for row in rows]))
     if not same:
         print("what was loaded differs from what was written")
@@ -159,7 +169,7 @@ def _row(row: Measurement) -> list[str]:
         row.what,
         f"{row.transitions:,}",
         f"{row.seconds:.2f}",
-        f"{row.transitions / row.seconds:,.0f}",
+        f"{row.transitions / row.seconds:,.0f}" if row.reads_or_writes_all else "",
         "" if row.bytes_each is None else f"{row.bytes_each:.1f}",
         "" if row.peak_bytes is None else f"{row.peak_bytes / 2**20:,.0f}",
     ]

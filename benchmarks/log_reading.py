@@ -27,9 +27,10 @@ def _read_one_episode(path: Path) -> None:
         assert 0 < len(log.columns(Selection(episodes=[int(number)]))["action"]) < middle
 
 
+THROUGH_ALL = "go through all of it"
 READINGS = {
     "say what is in it": _summarise,
-    "go through all of it": _go_through,
+    THROUGH_ALL: _go_through,
     "list its episodes": _list_episodes,
     "read one episode": _read_one_episode,
 }

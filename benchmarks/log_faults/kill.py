@@ -25,7 +25,8 @@ ANY_MOMENT, BEGINNING, RUNNING, CLOSING = (
     "in the middle of a write that closes the log",
 )
 MOMENTS = (ANY_MOMENT, BEGINNING, RUNNING, CLOSING)
-_AT_LEISURE = 1.1
+_DURATIONS = 1.1
+"""How long a run may go on before it is killed, in durations of the reference, up to its log's end."""
 _OWN_ENTRIES = {"run", CHECKSUM, "git_commit"}
 """Entries of the metadata that another run with the same seed may have otherwise."""
 
@@ -37,7 +38,7 @@ class Reference:
     Attributes:
         overrides: of Hydra, with the seed.
         contents: of its log.
-        seconds: from its start until its log was closed.
+        seconds: from its start until its log was closed, where nothing else keeps the processor busy.
         writes: to the log before the first transition.
         closing_writes: to the log while it was closed.
         longest_wait_s: from the making of a transition to the write that took it to the log, s.
@@ -58,6 +59,7 @@ class Kill:
     Attributes:
         moment: one of `MOMENTS`.
         state: of the log: "none", "unfinished" or "finished".
+        transitions: that the run had made.
         lost_s: of what was done, the age of the oldest that is lost when the run was killed, by kind: "transitions",
             "episodes" and "metrics"; 0 if nothing is.
         lost: how many are.
@@ -67,6 +69,7 @@ class Kill:
 
     moment: str
     state: str = "none"
+    transitions: int = 0
     lost_s: dict[str, float] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
     recovery_s: float = 0.0
@@ -81,9 +84,12 @@ def run_to_the_end(overrides: Sequence[str]) -> Reference:
     """
     with tempfile.TemporaryDirectory() as folder:
         run = TrainingRun(Path(folder), overrides)
-        code = run.wait()
-        if code != 0:
+        if run.wait() != 0:
             raise BenchError(f"`carrl train {' '.join(overrides)}` failed: {run.last_words}")
+        if not run.log.exists():
+            raise BenchError(
+                f"`carrl train {' '.join(overrides)}` leaves no {run.log.name}; train one agent, with a log"
+            )
         verify(run.log)
         notes = run.notes
         kinds = [note.kind for note in notes]
@@ -113,7 +119,7 @@ def kill_one(reference: Reference, moment: str, draw: random.Random) -> Kill:
         folder = Path(name)
         run = TrainingRun(folder, reference.overrides, _draw_tear(reference, moment, draw))
         if moment == ANY_MOMENT:
-            killed_s = run.kill_after(draw.uniform(0.0, _AT_LEISURE * reference.seconds))
+            killed_s = run.kill_after(draw.uniform(0.0, _DURATIONS * reference.seconds))
         else:
             run.wait()
             killed_s = run.notes[-1].time_s
@@ -157,6 +163,7 @@ def _recover(log: Path, target: Path, kill: Kill) -> None:
 
 def _compare(found: LogContents, expected: LogContents, notes: Sequence[Note], killed_s: float, kill: Kill) -> None:
     """Notes what is lost, and whatever was never written."""
+    kill.transitions = max((note.value for note in notes if note.kind == "transitions"), default=0)
     handed_over = [note.value for note in notes if note.kind == "metrics"]
     for kind, own, whole in (
         ("transitions", found.rows, expected.rows),

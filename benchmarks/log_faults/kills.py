@@ -6,7 +6,7 @@ import random
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from statistics import median
 from typing import Any
 
@@ -18,10 +18,11 @@ from benchmarks.machine import describe_machine, machine_line
 from benchmarks.options import Parser, positive, tell, writable
 
 HEADER = ("killed", "runs", "no log yet", "unfinished", "finished", "faults")
-LOSS_HEADER = ("lost of an unfinished log", "number: median", "max", "seconds before the kill: median", "max")
+LOSS_HEADER = ("lost while training", "number: median", "max", "seconds before the kill: median", "max")
 _WEIGHTS = {ANY_MOMENT: 12, BEGINNING: 2, RUNNING: 4, CLOSING: 2}
 NOTES = (
     "no log yet: the run was killed before the first byte of its log.",
+    "lost while training: of unfinished logs of runs that had made a step.",
     "seconds before the kill: the age of the oldest one lost; 0 if none is.",
     "Each recovered log is compared, bit for bit, with that of the same seed's run that was not killed.",
 )
@@ -72,6 +73,8 @@ def _kill_runs(arguments: argparse.Namespace, kills: list[Kill], waits_s: list[f
         references.append(run_to_the_end([f"experiment={arguments.experiment}", f"seed={seed}", *arguments.overrides]))
         waits_s.append(references[-1].longest_wait_s)
         tell(f"seed {seed}: {len(references[-1].contents.rows):,} transitions in {references[-1].seconds:.1f} s")
+    seconds = min(reference.seconds for reference in references)
+    references = [replace(reference, seconds=seconds) for reference in references]
     draw = random.Random(arguments.seed)
     for number in range(arguments.kills):
         [moment] = draw.choices(MOMENTS, [_WEIGHTS[moment] for moment in MOMENTS])
@@ -89,10 +92,10 @@ def _describe(kill: Kill) -> str:
 def print_results(kills: Sequence[Kill], table: Table) -> None:
     """Prints how the logs were found, and what was lost of those that were being written."""
     print(table(HEADER, [_moment_row(moment, [k for k in kills if k.moment == moment]) for moment in MOMENTS]) + "\n")
-    unfinished = [kill for kill in kills if kill.state == "unfinished" and kill.lost]
-    if unfinished:
-        print(table(LOSS_HEADER, [_loss_row(kind, unfinished) for kind in ("transitions", "episodes", "metrics")]))
-        print(f"\nRecovery took at most {max(kill.recovery_s for kill in kills):.2f} s.")
+    training = [kill for kill in kills if kill.state == "unfinished" and kill.transitions and kill.lost]
+    if training:
+        print(table(LOSS_HEADER, [_loss_row(kind, training) for kind in ("transitions", "episodes", "metrics")]))
+        print(f"\nOf {len(training)} logs. Recovery took at most {max(kill.recovery_s for kill in kills):.2f} s.")
     print("\n".join(NOTES))
     for number, kill in enumerate(kills, start=1):
         for fault in kill.faults:

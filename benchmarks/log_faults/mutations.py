@@ -117,7 +117,7 @@ def _row(name: str, outcomes: Sequence[Outcome]) -> list[str]:
         str(len(outcomes) - len(kept)),
         f"{median(kept):.0f}" if kept else "-",
         f"{min(kept):.0f}" if kept else "-",
-        str(sum(outcome.metadata_lost for outcome in outcomes)),
+        f"{sum(outcome.metadata_lost for outcome in outcomes):,}",
         str(sum(bool(outcome.faults) for outcome in outcomes)),
     ]
 

@@ -29,6 +29,7 @@ from carrl.run.plan import TrainingPlan
 from carrl.run.provenance import describe_run
 from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
+from carrl.run.training import Training
 from carrl.view.console import Display, OfflineDisplay, TrainingDisplay, print_summaries, print_summary
 from carrl.view.lap import draw_lap
 from carrl.view.learning_curve import draw_learning_curve
@@ -173,7 +174,7 @@ def _open_log(path: Path, config: DictConfig, env: TrackEnv, seed: int, agents: 
 
 
 @contextmanager
-def _stopping_on_signals(trainer: Trainer | OfflineTrainer) -> Iterator[list[int]]:
+def _stopping_on_signals(trainer: Training) -> Iterator[list[int]]:
     """Lets the first SIGINT or SIGTERM end the run with everything saved, and the second end the process."""
     received: list[int] = []
 

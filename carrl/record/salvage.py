@@ -29,8 +29,15 @@ Content = mmap.mmap
 TOPICS = {channel: topic for topic, channel in CHANNELS.items()}
 
 _RUN = re.compile("[0-9a-f]{16}")
-_CANDIDATE = re.compile(rb"[\x06\x09\x0c].{4}\x00{4}", re.DOTALL)
-"""Opcode and length of what may be a chunk, an attachment or a metadata record of less than 4 GiB."""
+_CANDIDATE = re.compile(
+    rb"[\x06\x09\x0c].{4}\x00{4}(?:"
+    rb"(?<=\x06.{8}).{28}(?:\x04\x00{3}zstd|\x00{4}).{5}\x00{3}|"
+    rb"(?<=\x09.{8}).{18}\x00\x00|"
+    rb"(?<=\x0c.{8})\x05\x00{3}carrl)",
+    re.DOTALL,
+)
+"""Opcode and length of a record of less than 4 GiB, and what else tells it from other bytes: of a chunk its compression
+and a size below 1 TiB; of an attachment a name below 64 KiB; of a metadata record its name."""
 _KINDS: dict[int, type[Attachment] | type[Chunk] | type[Metadata]] = {
     Opcode.CHUNK: Chunk,
     Opcode.ATTACHMENT: Attachment,
@@ -43,9 +50,9 @@ _PATIENCE_BYTES = 2**30
 
 A file may be made so that every byte of it looks like the begin of a record, or so that little of it unpacks to much.
 """
-_CANDIDATE_COST = 2**18
-_MESSAGE_COST = 2**13
-_PAID_WITH_A_BYTE = 2**10
+_CANDIDATE_COST = 2**14
+_MESSAGE_COST = 2**14
+_PAID_WITH_A_BYTE = 2**11
 """Messages of a log take more than eight bytes each, packed, and so cost nothing."""
 _MAX_MESSAGES = 2**17
 """How many messages of a chunk are read; the writer's have some ten thousand."""

@@ -5,7 +5,6 @@ from typing import Any
 
 from carrl.run.agent_run import AgentRun
 from carrl.run.evaluation import Drive
-from carrl.run.trainer import Trainer
 from carrl.run.training import Training
 
 EVALUATION_KEYS = (
@@ -20,7 +19,7 @@ EVALUATION_KEYS = (
 )
 
 
-def summarise(run: AgentRun, trainer: Trainer | Training, **context: Any) -> dict[str, Any]:
+def summarise(run: AgentRun, trainer: Training, **context: Any) -> dict[str, Any]:
     """The run's figures; `evaluation` is of the best greedy drive, whose policy is `checkpoints/best.pt`.
 
     Args:

@@ -20,7 +20,7 @@ from benchmarks.log_faults.contents import places_in, read_contents
 from benchmarks.log_faults.sample import read_sample
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Recovery, read_columns, recover, verify
-from carrl.record.codec import Batch
+from carrl.record.codec import Batch, encode_small
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import describe
 from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
@@ -189,6 +189,18 @@ def test_messages_keep_their_order_where_an_episode_ends_after_the_metrics_that_
     assert found.metrics == read_contents(tmp_path / "a.mcap").metrics
 
 
+def test_batches_of_one_and_the_same_time_come_out_in_order(tmp_path, transitions, recovered):
+    with LogWriter(tmp_path / "a.mcap", attachments={}, metadata={}) as writer:
+        for seed in range(4):
+            batch = transitions(BATCH, seed=seed)
+            writer.write(batch.set("time_ns", batch["time_ns"] * 0))
+            writer.flush()
+    sample = read_sample(tmp_path / "a.mcap")
+    chunks = [piece.content for piece in pieces(sample, "chunk")]
+    _, found = recovered(beginning(sample) + b"".join(reversed(chunks)))
+    assert found.rows == sample.says.rows
+
+
 def test_pieces_of_another_run_are_left_out(own, other, recovered):
     chunks = [piece.content for piece in pieces(own, "chunk") + pieces(other, "chunk")[:6]]
     random.Random(0).shuffle(chunks)
@@ -282,21 +294,43 @@ def test_a_piece_in_the_midst_of_something_else_is_found(own, recovered):
     assert recovery.metadata_lost
 
 
+def test_a_piece_within_a_damaged_record_is_found(own, recovered):
+    builder = RecordBuilder()
+    Attachment(0, 0, "notes.txt", "text/plain", pieces(own, "chunk", TRANSITIONS)[0].content).write(builder)
+    attachment = bytes(builder.end())
+    _, found = recovered(flipped(attachment, len(attachment) - 1))
+    assert found.rows == own.says.rows[:BATCH]
+
+
+def test_a_chunk_without_a_crc_is_not_trusted(own, recovered):
+    content = RecordBuilder()
+    message = encode_small(METRICS, int(own.says.run, 16), Metrics(9, 3, 0.25, 1.5, -2.0, 0.99, 1234.5))
+    Message(CHANNELS[METRICS], 10**12, message, 10**12, sequence=BATCHES).write(content)
+    unpacked = bytes(content.end())
+    assert len(recovered(own.content + chunk_record(unpacked))[1].metrics) == BATCHES + 1
+    assert recovered(own.content + chunk_record(unpacked, crc=0))[1] == own.says
+
+
 def fake_heads(opcode):
-    """Heads of records of 60 MiB, one after the other."""
-    return 500_000 * struct.pack("<BQ", opcode, 60 * 2**20)
+    """Heads of records of 60 MiB, one after the other; what follows could be theirs."""
+    body = {
+        Opcode.CHUNK: bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 60 * 2**20 - 44),
+        Opcode.ATTACHMENT: bytes(16) + struct.pack("<I", 60_000),
+        Opcode.METADATA: b"\x05\0\0\0carrl" + struct.pack("<I", 60 * 2**20 - 13),
+    }[opcode]
+    return 300_000 * (struct.pack("<BQ", opcode, 60 * 2**20) + body)
 
 
 def false_bombs():
     """Chunks that unpack to 64 MiB of zeros, and then have another CRC."""
-    return 4000 * chunk_record(bytes(2**26), crc=1)
+    return 500 * chunk_record(bytes(2**26), crc=1)
 
 
 def true_bombs():
     """Intact chunks of half a million messages each that say nothing."""
     content = RecordBuilder()
     Message(CHANNELS[METRICS], 0, b"", 0, 0).write(content)
-    return 1000 * chunk_record(2**19 * bytes(content.end()))
+    return 50 * chunk_record(2**19 * bytes(content.end()))
 
 
 @pytest.mark.parametrize(
@@ -309,6 +343,11 @@ def test_a_file_made_to_keep_recovery_busy_is_given_up_after_some_seconds(tmp_pa
     began = time.process_time()
     assert recover(tmp_path / "hostile.mcap", tmp_path / "new.mcap").transitions == 0
     assert time.process_time() - began < 20
+
+
+def test_the_search_does_not_lose_patience_with_a_log_that_is_as_training_wrote_it(own, recovered, monkeypatch):
+    monkeypatch.setattr("carrl.record.salvage._PATIENCE_BYTES", 0)
+    assert recovered(own.content)[1] == own.says
 
 
 def test_a_target_that_exists_is_left_alone(own, tmp_path):
