@@ -1,7 +1,6 @@
 """`carrl train data=log` as typed."""
 
 import json
-import os
 
 import pytest
 import yaml
@@ -127,6 +126,14 @@ def test_bad_input_is_one_sentence_and_exit_code_2(overrides, message, tmp_path,
     assert output.out == ""
 
 
+@pytest.fixture(scope="module")
+def fast_log(tmp_path_factory):
+    """The log of `experiment=fast`, seed 0."""
+    folder = tmp_path_factory.mktemp("fast")
+    assert main(["train", "experiment=fast", f"hydra.run.dir={folder}"]) == 0
+    return folder / "train.mcap"
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 @pytest.mark.parametrize("loss", ["cql", "double_dqn", "dqn"])
@@ -148,12 +155,3 @@ def test_the_log_of_one_fast_run_teaches_a_lap_without_a_single_simulator_step(l
         assert main(["train", "data=log", f"data.path={fast_log}", f"loss={loss}", f"hydra.run.dir={tmp_path}"]) == 0
     evaluation = json.loads((tmp_path / "summary.json").read_text())["evaluation"]
     assert evaluation["lap_completed"]
-
-
-@pytest.fixture(scope="module")
-def fast_log(tmp_path_factory):
-    """The log of `experiment=fast`, seed 0."""
-    folder = tmp_path_factory.mktemp("fast")
-    assert main(["train", "experiment=fast", f"hydra.run.dir={folder}"]) == 0
-    os.environ.pop("HYDRA_FULL_ERROR", None)
-    return folder / "train.mcap"

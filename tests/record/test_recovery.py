@@ -208,6 +208,15 @@ def test_pieces_of_another_run_are_left_out(own, other, recovered):
     assert found == own.says
 
 
+def test_messages_of_another_run_in_one_and_the_same_chunk_are_left_out(own, recovered):
+    content = RecordBuilder()
+    for run in (int(own.says.run, 16), 7):
+        message = encode_small(METRICS, run, Metrics(9, run % 5, 0.25, 1.5, -2.0, 0.99, 1234.5))
+        Message(CHANNELS[METRICS], 10**12, message, 10**12, sequence=BATCHES + run % 2).write(content)
+    _, found = recovered(own.content + chunk_record(bytes(content.end())))
+    assert len(found.metrics) == BATCHES + 1
+
+
 def test_the_run_with_most_transitions_is_recovered_though_pieces_of_the_other_are_there_twice(own, other, recovered):
     chunks = pieces(own, "chunk") + 3 * pieces(other, "chunk")[:6]
     _, found = recovered(beginning(other) + beginning(own) + b"".join(piece.content for piece in chunks))
