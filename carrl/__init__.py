@@ -5,7 +5,7 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-from carrl.registration import register_with_gymnasium
+from carrl.registration import register_with_gymnasium, register_with_torchrl
 
 _IMPORTED_AT = time.monotonic()
 
@@ -39,6 +39,7 @@ except PackageNotFoundError:  # a checkout on the path that was never installed
     __version__ = "0+unknown"
 
 register_with_gymnasium()
+register_with_torchrl()
 
 _HOMES = {
     "Action": "carrl.sim.vehicle",

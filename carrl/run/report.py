@@ -153,7 +153,9 @@ def _read_run(folder: Path, label: str) -> RunResult:
         if (folder / SUMMARY).exists():
             summary = json.loads(read_text(folder / SUMMARY))
         metrics = read_text(folder / METRICS) if (folder / METRICS).exists() else ""
-        returns = tuple(float(row["episode_return"]) for row in csv.DictReader(io.StringIO(metrics)))
+        learnt_from_logs = isinstance(summary, dict) and "transitions" in summary
+        rows = [] if learnt_from_logs else csv.DictReader(io.StringIO(metrics))
+        returns = tuple(float(row["episode_return"]) for row in rows)
     except (ValueError, KeyError, TypeError) as error:
         raise CheckpointError(f"run '{folder}': {SUMMARY} or {METRICS} is damaged") from error
     return RunResult(label, folder, summary, returns)

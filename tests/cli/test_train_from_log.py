@@ -155,3 +155,8 @@ def test_the_log_of_one_fast_run_teaches_a_lap_without_a_single_simulator_step(l
         assert main(["train", "data=log", f"data.path={fast_log}", f"loss={loss}", f"hydra.run.dir={tmp_path}"]) == 0
     evaluation = json.loads((tmp_path / "summary.json").read_text())["evaluation"]
     assert evaluation["lap_completed"]
+
+
+def test_report_shows_a_run_that_has_no_episodes(run, capsys):
+    assert main(["report", str(run)]) == 0
+    assert f"| {run.name} | 0 | 0 |" in capsys.readouterr().out
