@@ -47,6 +47,8 @@ def _lost(recovery: Recovery) -> Iterator[str]:
         yield f"Lost: {counted(recovery.transitions_lost, 'transition')} before or between those salvaged."
     if recovery.episodes_lost:
         yield f"Lost: {counted(recovery.episodes_lost, 'ended episode')} before or between those salvaged."
+    if recovery.chunks_lost:
+        yield f"Lost: {counted(recovery.chunks_lost, 'chunk')} that the log's index tells of."
     if recovery.metadata_lost:
         yield "Lost: the metadata, what the log said of its run; show, replay and pictures need it."
     if recovery.attachments_lost:
