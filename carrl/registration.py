@@ -53,6 +53,7 @@ class _Finder(MetaPathFinder):
         self._module, self._register = module, register
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Finds this one module, and only the first time."""
         if name != self._module:
             return None
         sys.meta_path.remove(self)

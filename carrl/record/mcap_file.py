@@ -56,6 +56,7 @@ class _Summary:
     messages: Counter[int] = field(default_factory=Counter)
 
     def statistics(self) -> Statistics:
+        """How many records and messages there are, and from when to when."""
         starts = [chunk.message_start_time for chunk in self.chunks]
         ends = [chunk.message_end_time for chunk in self.chunks]
         return Statistics(
@@ -71,6 +72,7 @@ class _Summary:
         )
 
     def groups(self) -> dict[Opcode, list[McapRecord]]:
+        """The records of the summary section by kind, in their order."""
         return {
             Opcode.SCHEMA: self.schemas,
             Opcode.CHANNEL: self.channels,

@@ -8,6 +8,7 @@ Shape letters: `T` transitions.
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -123,7 +124,7 @@ class Log:
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """Simulated times of the first and the last transition, ns; None without transitions."""
-        ends = list(self._end_batches())
+        ends = self._end_batches
         if not ends:
             return None
         return int(ends[0].columns["time_ns"][0]), int(ends[-1].columns["time_ns"][-1])
@@ -131,13 +132,13 @@ class Log:
     @property
     def transitions(self) -> int:
         """How many transitions it holds."""
-        ends = list(self._end_batches())
+        ends = self._end_batches
         return ends[-1].offset + ends[-1].count if ends else 0
 
     @property
     def row_shapes(self) -> Mapping[str, tuple[int, ...]]:
         """Shape of one transition's value in each column: () or (width,)."""
-        return row_shapes(next((batch.columns for batch in self._end_batches()), empty_columns()))
+        return row_shapes(next((batch.columns for batch in self._end_batches), empty_columns()))
 
     def attachment(self, name: str) -> bytes:
         """The content of an attachment, such as `config.yaml` or `track.json`."""
@@ -271,11 +272,11 @@ class Log:
             except ValueError as error:
                 raise self._wrong(f"message {message.sequence} of {EPISODES} is wrong: {error}") from error
 
-    def _end_batches(self) -> Iterator[Batch]:
+    @cached_property
+    def _end_batches(self) -> list[Batch]:
         """The first and the last batch; one and the same if there is but one."""
         chunks = self._chunks_with(TRANSITIONS)
-        yield from list(self._decoded(chunks[:1]))[:1]
-        yield from list(self._decoded(chunks[-1:]))[-1:]
+        return [*list(self._decoded(chunks[:1]))[:1], *list(self._decoded(chunks[-1:]))[-1:]]
 
     def _read_metadata(self) -> dict[str, str]:
         found = [entry for entry in self._file.index.metadata if entry.name == METADATA_NAME]

@@ -222,4 +222,4 @@ def test_without_pyav_the_error_says_what_to_install(trace, tmp_path, monkeypatc
 
 def test_a_video_is_written_without_torch():
     code = "import sys, carrl.view.video; sys.exit('torch' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
