@@ -8,6 +8,9 @@ from uuid import uuid4
 
 from carrl.errors import CarrlError
 
+PARTIAL = ".*.partial"
+"""Matches the files that a killed process may leave behind."""
+
 
 @contextmanager
 def appearing_whole(path: str | Path, error: type[CarrlError] = CarrlError) -> Iterator[Path]:
@@ -31,7 +34,10 @@ def appearing_whole(path: str | Path, error: type[CarrlError] = CarrlError) -> I
             partial.unlink()
 
 
-def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = CarrlError) -> None:
-    """Writes a file as `appearing_whole` lets it appear."""
-    with appearing_whole(path, error) as partial:
-        partial.write_bytes(content)
+def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = CarrlError, durably: bool = False) -> None:
+    """Writes a file as `appearing_whole` lets it appear; `durably` waits until the disk has it."""
+    with appearing_whole(path, error) as partial, partial.open("wb") as file:
+        file.write(content)
+        if durably:
+            file.flush()
+            os.fsync(file.fileno())

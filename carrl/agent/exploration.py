@@ -8,11 +8,13 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule
 
 from carrl.errors import ConfigError
+from carrl.generators import restore, states_of
 
 
 class ExponentialEpsilonGreedy(EGreedyModule):
@@ -70,6 +72,14 @@ class ExponentialEpsilonGreedy(EGreedyModule):
         self.env_steps += frames
         decay = math.exp(-self.decay_rate * self.env_steps.item())
         self.eps.fill_(self.epsilon_min + (self.epsilon_max - self.epsilon_min) * decay)
+
+    def get_extra_state(self) -> list[Tensor]:
+        """Where the generators stand: part of `state_dict`, beside epsilon and the env steps."""
+        return states_of(self._generators)
+
+    def set_extra_state(self, state: list[Tensor]) -> None:
+        """Goes on from where the generators stood; called by `load_state_dict`."""
+        restore(self._generators, state)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Explores unless the exploration type asks for the greedy action."""

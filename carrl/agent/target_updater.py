@@ -27,6 +27,20 @@ class PeriodicHardUpdate(HardUpdate):
         self.counter += count - 1
         super().step()
 
+    def state_dict(self) -> dict[str, int]:
+        """How far the next copy is."""
+        return {"counter": self.counter}
+
+    def load_state_dict(self, state: dict[str, int]) -> None:
+        """Goes on counting from there.
+
+        Raises:
+            ValueError: no counter of this period can stand there.
+        """
+        if not 0 <= state["counter"] <= self.value_network_update_interval:
+            raise ValueError(f"the counter is {state['counter']}")
+        self.counter = state["counter"]
+
 
 def make_hard_update(period: int, *, loss: DQNLoss) -> PeriodicHardUpdate:
     """A hard update of the loss's target network every `period` env steps.

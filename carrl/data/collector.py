@@ -1,5 +1,11 @@
-"""Collects transitions from the environment."""
+"""Collects transitions from the environment.
 
+Shapes: `N` cars.
+"""
+
+from typing import Any
+
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 # Known as SyncDataCollector until torchrl 0.13; the old name is gone in 0.14.
@@ -26,3 +32,24 @@ def make_collector(steps_per_batch: int, *, env: TrackEnv, policy: TensorDictMod
         track_traj_ids=False,
         auto_register_policy_transforms=False,
     )
+
+
+def cars_of(collector: SyncDataCollector) -> dict[str, Any]:
+    """Where every car is between two batches, [N] each: what the next batch begins with.
+
+    TorchRL 0.14's `state_dict` of a collector leaves this out, and `load_state_dict` begins new episodes.
+    """
+    return collector._carrier.select(*collector.env.observation_spec, *collector.env.done_spec).to_dict()
+
+
+def put_cars_back(collector: SyncDataCollector, cars: dict[str, Any]) -> None:
+    """Lets the next batch begin with these cars.
+
+    Raises:
+        ValueError: the environment has no such cars.
+    """
+    env = collector.env
+    found = TensorDict(cars, batch_size=env.batch_size, device=env.device)
+    if not (env.observation_spec.is_in(found.select(*env.observation_spec)) and env.done_spec.is_in(found)):
+        raise ValueError("the environment has no such cars")
+    collector._carrier.update(found)

@@ -6,9 +6,12 @@ Shapes: `N` cars, agent by agent.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
+
+from carrl.generators import restore, states_of
 
 
 class RandomStreams:
@@ -33,6 +36,14 @@ class RandomStreams:
         """Begins anew with this seed for the first agent, the next one for the second, and so on."""
         for offset, generator in enumerate(self._generators):
             generator.manual_seed(seed + offset)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where every generator stands."""
+        return {"generators": states_of(self._generators)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from where the generators stood."""
+        restore(self._generators, state["generators"])
 
     def integers(self, high: int) -> Tensor:
         """Whole numbers from 0 to `high` - 1, [N], int64."""

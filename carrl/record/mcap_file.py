@@ -6,101 +6,74 @@ all, so that a full disk costs only what did not fit; it serialises with that pa
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
+import mmap
 import os
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
-    Footer,
     Header,
     McapRecord,
     Message,
     MessageIndex,
     Metadata,
-    MetadataIndex,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
 from mcap.writer import MCAP0_MAGIC
+
+from carrl.record.mcap_summary import Summary, read_back, serialise
 
 LIBRARY = "carrl"
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS_BYTES = 22
-_FOOTER_START = struct.Struct("<BQQQ")
+_READ_AT_ONCE = 2**24
 
 
-@dataclass
-class _Summary:
-    """What the end of the file tells of the rest of it."""
+class Position(NamedTuple):
+    """How far an unfinished file was written.
 
-    schemas: list[McapRecord] = field(default_factory=list)
-    channels: list[McapRecord] = field(default_factory=list)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    attachments: list[McapRecord] = field(default_factory=list)
-    metadata: list[McapRecord] = field(default_factory=list)
-    messages: Counter[int] = field(default_factory=Counter)
+    Attributes:
+        size: bytes.
+        crc: CRC-32 of them all.
+    """
 
-    def statistics(self) -> Statistics:
-        """How many records and messages there are, and from when to when."""
-        starts = [chunk.message_start_time for chunk in self.chunks]
-        ends = [chunk.message_end_time for chunk in self.chunks]
-        return Statistics(
-            attachment_count=len(self.attachments),
-            channel_count=len(self.channels),
-            channel_message_counts=dict(self.messages),
-            chunk_count=len(self.chunks),
-            message_count=self.messages.total(),
-            message_start_time=min(starts, default=0),
-            message_end_time=max(ends, default=0),
-            metadata_count=len(self.metadata),
-            schema_count=len(self.schemas),
-        )
-
-    def groups(self) -> dict[Opcode, list[McapRecord]]:
-        """The records of the summary section by kind, in their order."""
-        return {
-            Opcode.SCHEMA: self.schemas,
-            Opcode.CHANNEL: self.channels,
-            Opcode.STATISTICS: [self.statistics()],
-            Opcode.CHUNK_INDEX: list(self.chunks),
-            Opcode.ATTACHMENT_INDEX: self.attachments,
-            Opcode.METADATA_INDEX: self.metadata,
-        }
+    size: int
+    crc: int
 
 
 class McapFile:
-    """Appends to a new file, an existing one of this path being replaced.
+    """Appends to a file. After a failed append it is as before, and may be finished. Nothing is buffered here.
 
-    After a failed append the file is as before, and may be finished. Nothing is buffered here.
+    Args:
+        path: of a new file, an existing one being replaced.
+        position: where to go on with the existing file instead, which is cut off there.
 
     Raises:
-        OSError, ValueError: the file cannot be made; appending raises OSError, too.
+        OSError: the file cannot be made or opened; appending raises OSError, too.
+        ValueError: the path is none, or the file is not as it was at the position.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Makes the file and begins it."""
-        self._file = open(path, "wb", buffering=0)  # noqa: SIM115 (closed in close)
-        self._summary = _Summary()
+    def __init__(self, path: Path, position: Position | None = None) -> None:
+        """Begins the file, or goes on with it."""
+        self._file = open(path, "w+b" if position is None else "r+b", buffering=0)  # noqa: SIM115 (closed in close)
+        self._summary = Summary()
         self._compressor = zstandard.ZstdCompressor(level=3)
-        self._crc = 0
-        self.size = 0
+        self._crc = self.size = 0
         try:
-            self._append(MCAP0_MAGIC + _serialise(Header(profile="", library=LIBRARY)))
+            if position is None:
+                self._append(MCAP0_MAGIC + serialise(Header(profile="", library=LIBRARY)))
+            else:
+                self._go_on_at(position)
         except BaseException:
             self.close()
             raise
@@ -110,28 +83,18 @@ class McapFile:
         """Whether the file is closed."""
         return self._file.closed
 
+    @property
+    def position(self) -> Position:
+        """How far it is written."""
+        return Position(self.size, self._crc)
+
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Appends a record of entries."""
-        record = _serialise(Metadata(name=name, metadata=dict(entries)))
-        offset = self._append(record)
-        self._summary.metadata.append(MetadataIndex(offset=offset, length=len(record), name=name))
+        self._add(Metadata(name=name, metadata=dict(entries)))
 
     def add_attachment(self, name: str, media_type: str, content: bytes) -> None:
         """Appends a whole file, at time 0."""
-        attachment = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content)
-        record = _serialise(attachment)
-        offset = self._append(record)
-        self._summary.attachments.append(
-            AttachmentIndex(
-                offset=offset,
-                length=len(record),
-                create_time=0,
-                log_time=0,
-                data_size=len(content),
-                name=name,
-                media_type=media_type,
-            )
-        )
+        self._add(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content))
 
     def add_channel(self, topic: str, schema_name: str, schema: bytes, entries: Mapping[str, str]) -> None:
         """Appends a topic of protobuf messages; the first one's channel has the number 1, and so on.
@@ -139,11 +102,10 @@ class McapFile:
         The entries are in the summary again, and so under its CRC.
         """
         number = len(self._summary.channels) + 1
-        of_messages = Schema(id=number, name=schema_name, encoding="protobuf", data=schema)
-        channel = Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=dict(entries))
-        self._append(_serialise(of_messages, channel))
-        self._summary.schemas.append(of_messages)
-        self._summary.channels.append(channel)
+        self._add(Schema(id=number, name=schema_name, encoding="protobuf", data=schema))
+        self._add(
+            Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=dict(entries))
+        )
 
     def add_chunk(self, messages: Sequence[Message]) -> None:
         """Appends one or more messages as one compressed chunk with its index."""
@@ -157,19 +119,44 @@ class McapFile:
             uncompressed_crc=zlib.crc32(content),
             uncompressed_size=len(content),
         )
-        record = _serialise(chunk)
-        offset = self._append(record + _serialise(*indices))
-        self._summary.chunks.append(_chunk_index(chunk, offset, len(record), indices))
-        self._summary.messages.update(message.channel_id for message in messages)
+        self._add(chunk, indices)
 
     def finish(self) -> None:
         """Completes the file with its summary; nothing can be appended afterwards."""
-        data_end = _serialise(DataEnd(data_section_crc=self._crc))
-        self._append(data_end + _ending(self._summary, self.size + len(data_end)))
+        data_end = serialise(DataEnd(data_section_crc=self._crc))
+        self._append(data_end + self._summary.ending(self.size + len(data_end)))
+
+    def sync(self) -> None:
+        """Waits until what is written is on the disk itself, where it outlives the machine's power."""
+        os.fsync(self._file.fileno())
+
+    def copy_to(self, path: Path) -> None:
+        """Writes all of the file anew at another place, even if its own was deleted."""
+        with path.open("xb") as copy:
+            for offset in range(0, self.size, _READ_AT_ONCE):
+                copy.write(os.pread(self._file.fileno(), min(_READ_AT_ONCE, self.size - offset), offset))
 
     def close(self) -> None:
         """Closes the file as it is; a second call does nothing."""
         self._file.close()
+
+    def _add(self, record: McapRecord, indices: Sequence[MessageIndex] = ()) -> None:
+        content = serialise(record)
+        offset = self._append(content + serialise(*indices))
+        self._summary.add(record, offset, len(content), indices)
+
+    def _go_on_at(self, position: Position) -> None:
+        if os.fstat(self._file.fileno()).st_size < position.size or position.size < len(MCAP0_MAGIC):
+            raise ValueError(f"it has fewer than {position.size} bytes")
+        with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            crc = 0
+            for offset in range(0, position.size, _READ_AT_ONCE):
+                crc = zlib.crc32(content[offset : min(offset + _READ_AT_ONCE, position.size)], crc)
+            if crc != position.crc:
+                raise ValueError(f"its first {position.size} bytes are others than were written")
+            self._summary = read_back(content, position.size)
+        os.ftruncate(self._file.fileno(), position.size)
+        self.size, self._crc = position
 
     def _append(self, content: bytes) -> int:
         """Writes at the end, whole or not at all, and returns the offset."""
@@ -192,13 +179,6 @@ def _write_at(descriptor: int, content: bytes, offset: int) -> None:
         rest, offset = rest[written:], offset + written
 
 
-def _serialise(*records: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return bytes(builder.end())
-
-
 def _pack(messages: Sequence[Message]) -> tuple[bytes, list[MessageIndex]]:
     """The content of a chunk and, for each channel, where in it its messages begin."""
     parts: list[bytes] = []
@@ -217,37 +197,3 @@ def _pack(messages: Sequence[Message]) -> tuple[bytes, list[MessageIndex]]:
         parts += (head, message.data)
         size += len(head) + len(message.data)
     return b"".join(parts), [MessageIndex(channel_id=channel, records=found) for channel, found in places.items()]
-
-
-def _chunk_index(chunk: Chunk, offset: int, length: int, indices: list[MessageIndex]) -> ChunkIndex:
-    lengths = [len(_serialise(index)) for index in indices]
-    begins = [offset + length + sum(lengths[:position]) for position in range(len(indices))]
-    return ChunkIndex(
-        chunk_start_offset=offset,
-        chunk_length=length,
-        message_index_offsets={index.channel_id: begin for index, begin in zip(indices, begins, strict=True)},
-        message_index_length=sum(lengths),
-        message_start_time=chunk.message_start_time,
-        message_end_time=chunk.message_end_time,
-        compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        uncompressed_size=chunk.uncompressed_size,
-    )
-
-
-def _ending(summary: _Summary, begin: int) -> bytes:
-    """The summary section, which begins at `begin`, with its offsets, the footer and the closing magic."""
-    content, offsets = b"", []
-    for opcode, records in summary.groups().items():
-        group = _serialise(*records)
-        if group:
-            offsets.append(
-                SummaryOffset(group_opcode=opcode, group_start=begin + len(content), group_length=len(group))
-            )
-        content += group
-    offset_start = begin + len(content)
-    content += _serialise(*offsets)
-    footer_start = _FOOTER_START.pack(Opcode.FOOTER, 20, begin, offset_start)
-    crc = zlib.crc32(footer_start, zlib.crc32(content))
-    footer = Footer(summary_start=begin, summary_offset_start=offset_start, summary_crc=crc)
-    return content + _serialise(footer) + MCAP0_MAGIC

@@ -4,13 +4,14 @@ Shape letters: `T` transitions in a batch.
 """
 
 import contextlib
+import logging
 import secrets
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from mcap.records import Message
@@ -18,13 +19,15 @@ from mcap.records import Message
 from carrl.errors import LogError
 from carrl.record.codec import Batch, Columns, check_row_shapes, encode_small, pieces, row_shapes
 from carrl.record.layout import columns_of
-from carrl.record.mcap_file import McapFile
+from carrl.record.mcap_file import McapFile, Position
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import describe
 from carrl.record.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METADATA_NAME, METRICS, TRANSITIONS, schema_bytes
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
+
+_logger = logging.getLogger(__name__)
 
 FLUSH_INTERVAL_S = 0.5
 """Wall time after which what is held back goes to disk with the next batch.
@@ -53,6 +56,8 @@ class LogWriter:
             one file of any size.
         attachments: whole files to keep in the log, by name, such as `config.yaml` and `track.json`.
         metadata: what else to say about the run; the keys that the format has itself are taken.
+        state: `state_dict` of the writer of a log that was broken off, to go on with it from there. What came after is
+            cut off. A log that is gone or not as it was is left alone; it goes on in another file.
 
     Raises:
         LogError: the file cannot be written, `metadata` uses a taken key, or a value is out of its range.
@@ -67,8 +72,9 @@ class LogWriter:
         *,
         attachments: Mapping[str, bytes],
         metadata: Mapping[str, str],
+        state: Mapping[str, Any] | None = None,
     ) -> None:
-        """Creates the file with its attachments and metadata."""
+        """Creates the file with its attachments and metadata, or opens that of the state."""
         self._first_path = Path(path)
         _check_range("envs", envs, 1)
         _check_range("every_nth_episode", every_nth_episode, 1)
@@ -79,7 +85,10 @@ class LogWriter:
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._last_time = 0
         self._part = 0
-        self._begin_file()
+        if state is None:
+            self._begin_file()
+        else:
+            self._load_state_dict(state)
 
     @property
     def path(self) -> Path:
@@ -90,6 +99,26 @@ class LogWriter:
     def closed(self) -> bool:
         """Whether the file is closed, by `close` or by a failure."""
         return self._file.closed
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the log is after all that was written, which is on the disk itself from then on.
+
+        Raises:
+            LogError: the log is closed, or the disk fails.
+        """
+        self._check_open()
+        self.flush()
+        with self._closing_on_failure():
+            self._file.sync()
+        return {
+            "run": self._run,
+            "part": self._part,
+            "position": tuple(self._file.position),
+            "offset": self._offset,
+            "sequences": dict(self._sequences),
+            "last_time": self._last_time,
+            "row_shapes": self._row_shapes,
+        }
 
     def write(self, transitions: "TensorDictBase") -> None:
         """Appends a batch of transitions; an empty one leaves no trace.
@@ -150,6 +179,19 @@ class LogWriter:
             self._write_held()
         self._flushed_at = time.monotonic()
 
+    def put_back(self) -> None:
+        """Closes the log and writes it anew at its place, which was deleted or moved; nothing else is changed.
+
+        Raises:
+            LogError: the disk fails.
+        """
+        self._check_open()
+        with self._closing_on_failure():
+            self._write_held()
+            self._file.finish()
+            self._file.copy_to(self.path)
+            self._file.close()
+
     def close(self) -> None:
         """Completes the file with its index and closes it; a second call does nothing.
 
@@ -184,6 +226,36 @@ class LogWriter:
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             raise self._unwritable(error) from error
         self._flushed_at = time.monotonic()
+
+    def _load_state_dict(self, state: Mapping[str, Any]) -> None:
+        self._run, self._part = state["run"], state["part"]
+        self._last_time, self._row_shapes = state["last_time"], state["row_shapes"]
+        try:
+            for later in self._later_parts():
+                later.unlink()
+            self._file = McapFile(self.path, Position(*state["position"]))
+        except (OSError, ValueError) as error:
+            self._leave_alone(self.path, error)
+            return
+        self._held = {topic: [] for topic in MESSAGE_NAMES}
+        self._held_bytes, self._offset = 0, state["offset"]
+        self._sequences = Counter(state["sequences"])
+        self._flushed_at = time.monotonic()
+
+    def _leave_alone(self, path: Path, error: Exception) -> None:
+        """Goes on in the first file that is not there yet."""
+        reason = getattr(error, "strerror", None) or error
+        while self.path.exists() or self.path == path:
+            self._part += 1
+        _logger.warning("Log '%s' cannot be gone on with: %s. It goes on in '%s'.", path, reason, self.path)
+        self._begin_file()
+
+    def _later_parts(self) -> Iterator[Path]:
+        """Files in which the log went on after the state; they come anew."""
+        part = self._part + 1
+        while (path := part_path(self._first_path, part)).exists():
+            yield path
+            part += 1
 
     def _go_on_in_another_file(self) -> None:
         self.close()

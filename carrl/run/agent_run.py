@@ -2,9 +2,9 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from carrl.errors import CarrlError
 from carrl.record.messages import Episode
 from carrl.run.evaluation import Drive
 from carrl.run.folder import RunFolder
@@ -41,6 +41,37 @@ class AgentRun:
         self.first_lap: FirstLap | None = None
         self.best: Drive | None = None
         self.last: Drive | None = None
+        self._checkpoints: dict[str, dict[str, Any]] = {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that was noted so far."""
+        return {
+            "moment": asdict(self.moment),
+            "episode_returns": self.episode_returns,
+            "laps": self.laps,
+            "first_lap": asdict(self.first_lap) if self.first_lap else None,
+            "best": self.best.state_dict() if self.best else None,
+            "last": self.last.state_dict() if self.last else None,
+            "checkpoints": self._checkpoints,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from there; the folder's checkpoints become again what they were."""
+        self.moment = Moment(**state["moment"])
+        self.episode_returns = list(state["episode_returns"])
+        self._recent_returns.extend(self.episode_returns[-RECENT_EPISODES:])
+        self.laps = state["laps"]
+        self.first_lap = FirstLap(**state["first_lap"]) if state["first_lap"] else None
+        self.best, self.last = (
+            Drive.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
+        )
+        self._checkpoints = dict(state["checkpoints"])
+        self.write_checkpoints()
+
+    def write_checkpoints(self) -> None:
+        """Writes the latest checkpoints to the folder once more."""
+        for name, checkpoint in self._checkpoints.items():
+            self.folder.save_checkpoint(name, checkpoint)
 
     @property
     def episodes(self) -> int:
@@ -53,15 +84,8 @@ class AgentRun:
         return sum(self._recent_returns) / len(self._recent_returns) if self._recent_returns else math.nan
 
     def add_episodes(self, ended: list[Episode], moment: Moment) -> None:
-        """Notes episodes that ended.
-
-        Raises:
-            CarrlError: the loss is not a number, though there was an update.
-        """
+        """Notes episodes that ended."""
         self.moment = moment
-        if ended and moment.updates and not math.isfinite(moment.loss):
-            place = f"at frame {moment.frames} of seed {self.agent.seed}"
-            raise CarrlError(f"the loss is {moment.loss} {place}; try a smaller optimizer.lr")
         for episode in ended:
             self.episode_returns.append(episode.episode_return)
             self._recent_returns.append(episode.episode_return)
@@ -75,12 +99,16 @@ class AgentRun:
         if attempt.lap_completed and self.first_lap is None:
             self.first_lap = FirstLap(self.episodes, moment.frames, moment.wall_time_s)
         self.folder.add_evaluation(attempt, moment.frames, self.episodes)
-        network = {name: value.clone() for name, value in self.agent.network.state_dict().items()}
-        state = {"network": network, "frames": moment.frames, "episodes": self.episodes}
-        self.folder.save_checkpoint("last", state)
+        self.keep_network("last", moment)
         if self.best is None or _quality(attempt) > _quality(self.best):
             self.best = attempt
-            self.folder.save_checkpoint("best", state)
+            self.keep_network("best", moment)
+
+    def keep_network(self, name: str, moment: Moment) -> None:
+        """Writes the network as it is now into `checkpoints/NAME.pt`."""
+        network = {key: value.clone() for key, value in self.agent.network.state_dict().items()}
+        self._checkpoints[name] = {"network": network, "frames": moment.frames, "episodes": self.episodes}
+        self.folder.save_checkpoint(name, self._checkpoints[name])
 
 
 def _quality(attempt: Drive) -> tuple[float, ...]:

@@ -1,45 +1,83 @@
-"""Checkpoints: what a run has learnt, saved so that loading runs no code."""
+"""Checkpoints: tensors and plain values in a file that is read without running code from it."""
 
+import zipfile
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from carrl.errors import CheckpointError
 from carrl.files import write_whole
 
 FORMAT_VERSION = 1
+MAX_BYTES = 16 * 2**30
+"""The largest file that is read; the state of a run has some 100 bytes for each transition in its replay buffer."""
 
 
-def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+def save_checkpoint(path: Path, state: Mapping[str, Any], *, durably: bool = False) -> None:
     """Writes tensors and plain values, whole or not at all.
+
+    Args:
+        path: of the file; its folder is made.
+        state: of tensors, numbers, strings, None, and dicts, lists and tuples of such.
+        durably: wait until the file is on the disk itself, where it outlives the machine's power.
 
     Raises:
         CheckpointError: the disk refuses it.
     """
     content = BytesIO()  # not the file itself, whose name torch would put into it
-    torch.save({"format_version": FORMAT_VERSION, **state}, content)
+    torch.save({"format_version": FORMAT_VERSION, **_detached(state)}, content)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CheckpointError(f"checkpoint '{path}' cannot be written: {error.strerror}") from error
-    write_whole(path, content.getvalue(), CheckpointError)
+    write_whole(path, content.getvalue(), CheckpointError, durably=durably)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """Reads what `save_checkpoint` wrote, onto the CPU.
 
     Raises:
-        CheckpointError: the file is missing, damaged, holds more than tensors and plain values, or has another version.
+        CheckpointError: the file is missing, too large, damaged, holds more than tensors and plain values, or has
+            another version.
     """
     if not path.is_file():
         raise CheckpointError(f"checkpoint '{path}' does not exist; name the folder of a run that has begun to train")
+    if path.stat().st_size > MAX_BYTES:
+        raise CheckpointError(f"checkpoint '{path}' has more than {MAX_BYTES} bytes; name a run's")
     try:
+        _check_archive(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch.load raises whatever the unpickler meets
         raise CheckpointError(f"checkpoint '{path}' is damaged or no checkpoint of CarRL") from error
     version = state.get("format_version") if isinstance(state, dict) else None
     if version != FORMAT_VERSION:
-        raise CheckpointError(f"checkpoint '{path}' has format version {version}; this CarRL reads {FORMAT_VERSION}")
+        raise CheckpointError(
+            f"checkpoint '{path}' has format version {version}; this CarRL reads {FORMAT_VERSION}: "
+            "use the version that wrote it, or train anew"
+        )
     return state
+
+
+def _check_archive(path: Path) -> None:
+    """Checks every byte, which torch does not, and that the file unpacks to no more than its own size."""
+    with zipfile.ZipFile(path) as archive:
+        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+            raise ValueError("it is compressed")
+        damaged = archive.testzip()
+        if damaged is not None:
+            raise ValueError(f"'{damaged}' in it has another CRC")
+
+
+def _detached(value: Any) -> Any:
+    """The same with tensors of their own on the CPU: torch would save all of the memory that a tensor is a part of."""
+    if isinstance(value, Tensor):
+        return value.detach().cpu().clone()
+    if isinstance(value, Mapping):
+        return {key: _detached(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_detached(item) for item in value)
+    return value

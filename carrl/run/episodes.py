@@ -33,6 +33,26 @@ class EpisodeTracker:
         self._begun = [num_envs] * agents
         self.frames = 0
 
+    def state_dict(self) -> dict[str, Any]:
+        """Where every car's episode stands."""
+        return {
+            "frames": self.frames,
+            "episode": torch.from_numpy(self._episode),
+            "return": torch.from_numpy(self._return),
+            "begin_ns": torch.from_numpy(self._begin_ns),
+            "begun": list(self._begun),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from there.
+
+        Raises:
+            ValueError: these are not so many cars.
+        """
+        self.frames, self._begun = state["frames"], list(state["begun"])
+        for own, name in ((self._episode, "episode"), (self._return, "return"), (self._begin_ns, "begin_ns")):
+            own[:] = state[name].numpy()
+
     @property
     def time_ns(self) -> int:
         """Simulated time since the start of the run, ns."""

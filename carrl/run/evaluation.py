@@ -71,6 +71,21 @@ class Drive:
         arrays = ("poses", "ranges", "actions")
         return {name: value for name, value in vars(self).items() if name not in arrays}
 
+    def state_dict(self) -> dict[str, Any]:
+        """All of it, arrays as tensors."""
+        return {
+            name: torch.as_tensor(value) if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> "Drive":
+        """What `state_dict` told of."""
+        values: dict[str, Any] = {
+            name: value.numpy() if isinstance(value, Tensor) else value for name, value in state.items()
+        }
+        return cls(**values)
+
 
 def greedy_policy(network: QValueActor, observe_action: bool) -> Policy:
     """The action of the highest value."""

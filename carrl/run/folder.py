@@ -2,14 +2,13 @@
 
 .hydra/config.yaml    the resolved configuration
 train.mcap            every transition
-checkpoints/          best.pt and last.pt
+checkpoints/          best.pt and last.pt; state.pt and the one before, to resume from
 metrics.csv           a row for each ended episode
 evaluations.csv       a row for each greedy drive during training
 summary.json          the run in a few figures
 learning_curve.png, lap.png
 """
 
-import csv
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,14 +18,17 @@ from typing import Any, Self
 import yaml
 from tensordict import TensorDictBase
 
-from carrl.errors import CarrlError, CheckpointError
-from carrl.files import write_whole
+from carrl.errors import CheckpointError
+from carrl.files import PARTIAL, write_whole
 from carrl.record.messages import Episode, Metrics
 from carrl.record.writer import LogWriter
 from carrl.run.build import build_network, observes_action
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
+from carrl.run.divergence import REPORT as DIVERGENCE
 from carrl.run.evaluation import Drive, Policy, greedy_policy
 from carrl.run.moment import Moment
+from carrl.run.settings import put_back, read_settings
+from carrl.run.table import Table
 
 CONFIG = Path(".hydra/config.yaml")
 LOG = "train.mcap"
@@ -42,18 +44,26 @@ MAX_TEXT_BYTES = 64 * 2**20
 
 
 class RunFolder:
-    """The folder of a run in progress; use it in a `with` statement, so that its files are completed."""
+    """The folder of a run in progress; use it in a `with` statement, so that its files are completed.
 
-    def __init__(self, path: Path, recorder: LogWriter | None = None) -> None:
-        """Opens the tables.
+    Args:
+        path: of the folder.
+        recorder: of the run's log, if it has one.
+        state: `state_dict` of the folder of a run that was broken off, to go on with it from there.
 
-        Raises:
-            CarrlError: the folder cannot be written.
-        """
+    Raises:
+        CarrlError: the folder cannot be written.
+    """
+
+    def __init__(self, path: Path, recorder: LogWriter | None = None, state: Mapping[str, Any] | None = None) -> None:
+        """Opens the tables."""
         self.path = path
         self._recorder = recorder
-        self._metrics = _Table(path / METRICS)
-        self._evaluations = _Table(path / EVALUATIONS)
+        self._settings = read_settings(path)
+        for left_over in (*path.glob(PARTIAL), *path.glob(f"checkpoints/{PARTIAL}")):
+            left_over.unlink()
+        self._metrics = Table(path / METRICS, state["metrics"] if state else 0)
+        self._evaluations = Table(path / EVALUATIONS, state["evaluations"] if state else 0)
 
     def __enter__(self) -> Self:
         """Returns the folder itself."""
@@ -67,6 +77,35 @@ class RunFolder:
         self._evaluations.close()
         if self._recorder is not None:
             self._recorder.close()
+
+    def state_dict(self) -> dict[str, Any]:
+        """How far the log and the tables are written.
+
+        Raises:
+            LogError: the disk fails.
+        """
+        return {
+            "log": self._recorder.state_dict() if self._recorder else None,
+            "metrics": self._metrics.rows,
+            "evaluations": self._evaluations.rows,
+        }
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the folder was deleted or moved."""
+        return not self._metrics.is_in_place
+
+    def put_back(self) -> None:
+        """Makes the folder anew after it was deleted or moved, with all but the checkpoints; the log is closed then.
+
+        Raises:
+            CarrlError: the disk fails.
+        """
+        put_back(self._settings)
+        self._metrics.put_back()
+        self._evaluations.put_back()
+        if self._recorder is not None:
+            self._recorder.put_back()
 
     @property
     def has_log(self) -> bool:
@@ -110,6 +149,10 @@ class RunFolder:
     def save_checkpoint(self, name: str, state: Mapping[str, Any]) -> None:
         """Writes `checkpoints/NAME.pt`."""
         save_checkpoint(checkpoint_path(self.path, name), dict(state))
+
+    def write_divergence(self, report: Mapping[str, Any]) -> None:
+        """Writes `divergence.json`."""
+        write_text(self.path / DIVERGENCE, json.dumps(report, indent=2) + "\n")
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Writes `summary.json`."""
@@ -178,34 +221,3 @@ def write_text(path: Path, text: str) -> None:
         CarrlError: the disk refuses it.
     """
     write_whole(path, text.encode())
-
-
-class _Table:
-    """A CSV file that grows row by row; its header is the first row's keys."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._writer: csv.DictWriter[str] | None = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("w", newline="", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise self._unwritable(error) from error
-
-    def append(self, row: Mapping[str, Any]) -> None:
-        try:
-            if self._writer is None:
-                self._writer = csv.DictWriter(self._file, list(row))
-                self._writer.writeheader()
-            self._writer.writerow(row)
-        except OSError as error:
-            raise self._unwritable(error) from error
-
-    def close(self) -> None:
-        try:
-            self._file.close()
-        except OSError as error:
-            raise self._unwritable(error) from error
-
-    def _unwritable(self, error: OSError) -> CarrlError:
-        return CarrlError(f"'{self._path}' cannot be written: {error.strerror}")

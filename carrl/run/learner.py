@@ -26,6 +26,7 @@ from torchrl.objectives import DQNLoss
 from carrl.agent.stack import stack_in_place
 from carrl.agent.target_updater import PeriodicHardUpdate
 from carrl.data.replay_buffer import KEYS
+from carrl.run.divergence import Divergence
 from carrl.run.native import CompilationError, NativeFunction, compile_native
 
 _logger = logging.getLogger(__name__)
@@ -62,13 +63,47 @@ class Learner:
         self._native: _NativeUpdate | None = None
         self.updates = 0
         self.first_update_at: float | None = None
+        self.is_compiling = False
         self.losses = torch.full([len(agents)], math.nan)
+        self.divergences: dict[int, Divergence] = {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that an update changes, but the buffer."""
+        return {
+            "updates": self.updates,
+            "losses": self.losses,
+            "sampler": self._buffer.sampler.state_dict(),
+            "agents": [
+                {
+                    "loss": agent.loss.state_dict(),
+                    "optimizer": agent.optimizer.state_dict(),
+                    "target_updater": agent.target_updater.state_dict(),
+                }
+                for agent in self._agents
+            ],
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from there; the optimizers' learning rates stay as they are.
+
+        Networks keep their memory, whose views others hold. Call it before the first update.
+        """
+        self.updates, self.losses = state["updates"], state["losses"].clone()
+        self._buffer.sampler.load_state_dict(state["sampler"])
+        for agent, own in zip(self._agents, state["agents"], strict=True):
+            rates = [group["lr"] for group in agent.optimizer.param_groups]
+            agent.loss.load_state_dict(own["loss"])
+            agent.optimizer.load_state_dict(own["optimizer"])
+            for group, rate in zip(agent.optimizer.param_groups, rates, strict=True):
+                group["lr"] = rate
+            agent.target_updater.load_state_dict(own["target_updater"])
 
     def learn(self, frames: int) -> None:
         """One update for each of the next `frames` env steps, if there is a batch to sample; the targets follow.
 
         Afterwards `losses` [A] are those before the last update, `updates` counts them all, and `first_update_at` is
-        the monotonic time of the first one in the way that all later ones are made, compiled or not.
+        the monotonic time of the first one in the way that all later ones are made, compiled or not. `divergences`
+        has an entry for each agent whose loss has ever not been finite.
         """
         while frames > 0:
             count = min(frames, *(agent.target_updater.steps_left for agent in self._agents))
@@ -86,19 +121,29 @@ class Learner:
         """The first update of all is eager, for it makes the optimizers' state; the second one compiles."""
         samples, _ = self._buffer.sampler.sample(self._buffer.storage, count * self._batch_size)
         batches = list(zip(*(index.split(self._batch_size) for index in samples), strict=True))
-        if self._compiles and self._native is None:
-            self._update_eagerly(batches.pop(0))
-            self._try_to_compile()
-        for items, agents in batches:
-            if self._native is None:
-                self._update_eagerly((items, agents))
-            else:
-                self.losses = self._native(items)
-            if self.first_update_at is None:
+        losses = []
+        for number, (items, agents) in enumerate(batches):
+            if self._compiles and self._native is None and self.updates + number > 0:
+                self._try_to_compile()
+            self.losses = self._update_eagerly((items, agents)) if self._native is None else self._native(items)
+            losses.append(self.losses)
+            if self.first_update_at is None and (self._native is not None or not self._compiles):
                 self.first_update_at = time.monotonic()
+        self._note_divergences(torch.stack(losses), samples[0])
         self.updates += count
 
-    def _update_eagerly(self, sample: tuple[Tensor, Tensor]) -> None:
+    def _note_divergences(self, losses: Tensor, items: Tensor) -> None:
+        """Looks for losses [U, A] that are not finite; the items sampled are [U * batch_size, A]."""
+        broken = ~losses.isfinite()
+        if not broken.any():
+            return
+        for agent in broken.any(0).nonzero()[:, 0].tolist():
+            first = int(broken[:, agent].int().argmax())
+            minibatch = items[first * self._batch_size : (first + 1) * self._batch_size, agent]
+            divergence = Divergence(self.updates + first + 1, losses[first, agent].item(), minibatch.tolist())
+            self.divergences.setdefault(agent, divergence)
+
+    def _update_eagerly(self, sample: tuple[Tensor, Tensor]) -> Tensor:
         batch = self._buffer.storage.get(sample)
         losses = []
         for index, agent in enumerate(self._agents):
@@ -107,14 +152,17 @@ class Learner:
             loss.backward()
             agent.optimizer.step()
             losses.append(loss.detach())
-        self.losses = torch.stack(losses)
+        return torch.stack(losses)
 
     def _try_to_compile(self) -> None:
+        self.is_compiling = True
         try:
             self._native = _NativeUpdate(self._agents, self._buffer)
         except CompilationError as error:
             _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
             self._compiles = False
+        finally:
+            self.is_compiling = False
 
 
 class _NativeUpdate:

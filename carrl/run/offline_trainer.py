@@ -3,17 +3,16 @@
 Shapes: `A` agents, `P` transitions of the sample that is measured.
 """
 
-import math
 from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import TensorDictBase
 
-from carrl.errors import CarrlError
 from carrl.run.build import OfflinePipeline
 from carrl.run.metrics import td_error
 from carrl.run.moment import Moment
 from carrl.run.offline_folder import Learnt, OfflineRunFolder
+from carrl.run.state_file import StateFile
 from carrl.run.training import Training
 from carrl.sim.simulator import Simulator
 
@@ -32,10 +31,16 @@ class OfflineTrainer(Training):
     Args:
         pipeline: of a run that has made no update.
         folders: one for each agent.
+        state_file: where the state is kept between rounds; None to keep none. The transitions are none of it.
     """
 
-    def __init__(self, pipeline: OfflinePipeline, folders: Sequence[OfflineRunFolder]) -> None:
-        super().__init__(pipeline, folders)
+    def __init__(
+        self,
+        pipeline: OfflinePipeline,
+        folders: Sequence[OfflineRunFolder],
+        state_file: StateFile | None = None,
+    ) -> None:
+        super().__init__(pipeline, folders, state_file)
         self._pipeline, self._folders = pipeline, folders
         self._sample = _spread_sample(pipeline)
 
@@ -51,21 +56,27 @@ class OfflineTrainer(Training):
             CarrlError: a table or a checkpoint cannot be written, or a loss is not a number.
         """
         limit = self._pipeline.offline_plan.updates
-        while self.updates < limit and not self._stopping:
+        if self.updates == 0:
+            self.save()
+        while self.updates < limit and not self.stopping:
             self._pipeline.learner.learn(min(UPDATES_PER_ROUND, limit - self.updates))
             self._note()
             on_round(self)
-        self._evaluate()
+            self._end_round()
+        self.save()
+        if self.stopping:
+            for run in self.runs:
+                run.keep_network("last", run.moment)
+        else:
+            self._evaluate()
 
     def _note(self) -> None:
         """Measures every agent's progress."""
+        self._check_losses(range(len(self.runs)))
         losses = self._pipeline.learner.losses.tolist()
         values = zip(losses, *self._mean_values(), strict=True)
         for run, folder, (loss, logged, greedy, agreement) in zip(self.runs, self._folders, values, strict=True):
             run.moment = Moment(frames=0, updates=self.updates, epsilon=0.0, loss=loss, wall_time_s=self.wall_time_s)
-            if not math.isfinite(loss):
-                place = f"at update {self.updates} of seed {run.agent.seed}"
-                raise CarrlError(f"the loss is {loss} {place}; try a smaller optimizer.lr")
             folder.add_learnt(
                 Learnt(
                     updates=self.updates,

@@ -15,17 +15,21 @@ class TrainingPlan:
         episodes: a run ends once this many have ended.
         frames: or once this many env steps are done.
         seeds: of the agents, each a whole number or a range such as "0..9", both ends included; None for one agent.
+        checkpoint_interval: wall time between two checkpoints to resume from, s.
     """
 
     episodes: int
     frames: int
     seeds: Sequence[int | str] | None = None
+    checkpoint_interval: float = 30.0
 
     def __post_init__(self) -> None:
         """Raises ConfigError unless a run can make at least one step."""
         for name in ("episodes", "frames"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"trainer.{name} is {getattr(self, name)}; it must be at least 1")
+        if not self.checkpoint_interval >= 0:
+            raise ConfigError(f"trainer.checkpoint_interval is {self.checkpoint_interval}; it must be at least 0 s")
 
     def agent_seeds(self, seed: int) -> list[int]:
         """The seeds of all agents; `seed` is that of the one agent where no others are named.

@@ -23,12 +23,13 @@ def summarise(run: AgentRun, trainer: Training, **context: Any) -> dict[str, Any
     """The run's figures; `evaluation` is of the best greedy drive, whose policy is `checkpoints/best.pt`.
 
     Args:
-        run: that is over.
+        run: that is over, or was interrupted.
         trainer: that it was part of; all times are counted from when it was made.
         context: what else to note of the run, such as its track.
     """
     return {
         "seed": run.agent.seed,
+        "finished": not trainer.stopping,
         **context,
         "episodes": run.episodes,
         "frames": run.moment.frames,

@@ -5,18 +5,23 @@ Shapes: `A` agents, `N` cars of each, `T` steps of each car in a batch, `F` = N 
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 
-from carrl.data.replay_buffer import KEYS
+from carrl.data.collector import cars_of, put_cars_back
+from carrl.data.replay_buffer import KEYS, contents_of, put_back
+from carrl.errors import ConfigError
 from carrl.record.messages import Metrics
 from carrl.record.schema import COLUMNS
+from carrl.run.agent_run import AgentRun
 from carrl.run.build import Pipeline
 from carrl.run.episodes import EpisodeTracker
 from carrl.run.folder import RunFolder
 from carrl.run.metrics import mean_action_value, td_error
 from carrl.run.moment import Moment
+from carrl.run.state_file import StateFile
 from carrl.run.training import Training
 
 LOGGED_TOGETHER = 2048
@@ -39,16 +44,17 @@ class Trainer(Training):
     Args:
         pipeline: of a run that starts at frame 0.
         folders: one for each agent.
+        state_file: where the state is kept between rounds; None to keep none.
     """
 
-    def __init__(self, pipeline: Pipeline, folders: Sequence[RunFolder]) -> None:
-        super().__init__(pipeline, folders)
+    def __init__(self, pipeline: Pipeline, folders: Sequence[RunFolder], state_file: StateFile | None = None) -> None:
+        super().__init__(pipeline, folders, state_file)
         self._pipeline = pipeline
         agents = pipeline.agents
         cars = pipeline.env.batch_size[0] // len(agents)
         time_step = pipeline.env.simulator.vehicle.time_step
         self._tracker = EpisodeTracker(len(agents), cars, pipeline.env.track.gate_count, time_step)
-        self._evaluated_at = 0
+        self._evaluated_at = -1
         self._unlogged: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, self._began
         self._measured, self._measured_at = 0, self._began
@@ -59,19 +65,54 @@ class Trainer(Training):
         """Env steps done by each agent that is not over yet."""
         return self._tracker.frames
 
+    def state_dict(self) -> dict[str, Any]:
+        """All that moves; transitions not yet logged are logged first."""
+        self._log()
+        pipeline = self._pipeline
+        return super().state_dict() | {
+            "tracker": self._tracker.state_dict(),
+            "cars": cars_of(pipeline.collector),
+            "streams": pipeline.env.task.streams.state_dict(),
+            "exploration": pipeline.exploration.state_dict(),
+            "replay_buffer": contents_of(pipeline.replay_buffer),
+            "evaluated_at": self._evaluated_at,
+            "active": list(self._active),
+        }
+
+    def _load(self, state: dict[str, Any]) -> None:
+        super()._load(state)
+        pipeline = self._pipeline
+        self._tracker.load_state_dict(state["tracker"])
+        put_cars_back(pipeline.collector, state["cars"])
+        pipeline.env.task.streams.load_state_dict(state["streams"])
+        pipeline.exploration.load_state_dict(state["exploration"])
+        put_back(pipeline.replay_buffer, state["replay_buffer"])
+        self._evaluated_at = state["evaluated_at"]
+        self._logged = self._measured = self.frames
+        self._active = {index: self.runs[index] for index in state["active"]}
+        for run in self.runs:
+            if run not in self._active.values() and not self._has_reached_a_limit(run):
+                raise ConfigError(
+                    f"seed {run.agent.seed} ended at frame {run.moment.frames}, before the others, and what it did "
+                    "since is not recorded, so it cannot go on; leave trainer.episodes as it was"
+                )
+
     def run(self, on_round: Callable[["Trainer"], None]) -> None:
         """Trains; `on_round` is called after every round of collecting and learning.
 
         Raises:
             CarrlError: a log or a checkpoint cannot be written, or a loss is not a number.
         """
+        batches = iter(self._pipeline.collector)
         try:
-            for batch in self._pipeline.collector:
-                self._learn_from(batch)
+            if self.frames == 0:
+                self.save()
+            self._end_runs()
+            while self._active:
+                self._learn_from(next(batches))
                 on_round(self)
+                self._end_round()
                 self._end_runs()
-                if not self._active:
-                    break
         finally:
             self._log()
             self._pipeline.collector.shutdown()
@@ -85,6 +126,7 @@ class Trainer(Training):
         self._record(by_agent)
         self._pipeline.learner.learn(len(by_agent))
         self._pipeline.exploration.step(len(by_agent))
+        self._check_losses(self._active, frame=self.frames)
         losses = self._pipeline.learner.losses.tolist()
         for index, run in self._active.items():
             run.add_episodes(ended[index], self._moment(losses[index]))
@@ -147,16 +189,30 @@ class Trainer(Training):
         for index, run in self._active.items():
             run.add_evaluation(drives[index], self._moment(run.moment.loss))
 
-    def _end_runs(self) -> None:
-        """Lets go of the agents that have reached a limit, evaluated as they are now."""
+    def _has_reached_a_limit(self, run: AgentRun) -> bool:
         plan = self._pipeline.plan
-        over = [
-            index
-            for index, run in self._active.items()
-            if self._stopping or run.episodes >= plan.episodes or self.frames >= plan.frames
-        ]
+        return run.episodes >= plan.episodes or run.moment.frames >= plan.frames
+
+    def _end_runs(self) -> None:
+        """Lets go of the agents that have reached a limit, evaluated as they are now, or of all where they are to stop.
+
+        Before the last one goes the state is saved, since a longer run would not be evaluated here. One that is to stop
+        is not, as that could take seconds.
+        """
+        if self._stopping:
+            self.save()
+            for run in self._active.values():
+                run.keep_network("last", run.moment)
+            self._let_go(list(self._active))
+            return
+        over = [index for index, run in self._active.items() if self._has_reached_a_limit(run)]
+        if len(over) == len(self._active):
+            self.save()
         if over and self._evaluated_at != self.frames:
             self._evaluate()
+        self._let_go(over)
+
+    def _let_go(self, over: Sequence[int]) -> None:
         if over:
             self._log()
         for index in over:

@@ -44,7 +44,12 @@ def test_a_run_leaves_its_results_in_one_folder(run):
         "summary.json",
         "train.mcap",
     }
-    assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.pt", "last.pt"}
+    assert {path.name for path in (run / "checkpoints").iterdir()} == {
+        "best.pt",
+        "last.pt",
+        "state.pt",
+        "state-previous.pt",
+    }
 
 
 def test_the_summary_has_the_documented_keys(run):
@@ -143,7 +148,7 @@ def test_report_lines_up_finished_and_unfinished_runs(run, tmp_path, capsys):
 def test_several_seeds_leave_a_folder_each_as_if_trained_alone(run, tmp_path, capsys):
     assert main(["train", *TINY, "trainer.seeds=[4..5]", f"hydra.run.dir={tmp_path}"]) == 0
     assert "2 seeds on track oval" in capsys.readouterr().out
-    assert {path.name for path in tmp_path.iterdir()} == {".hydra", "seed=4", "seed=5"}
+    assert {path.name for path in tmp_path.iterdir()} == {".hydra", "checkpoints", "seed=4", "seed=5"}
     ours, alone = tmp_path / "seed=5", run
     assert {path.name for path in ours.iterdir()} == {path.name for path in alone.iterdir()}
     assert (load(ours / "train.mcap") == load(alone / "train.mcap")).all()
@@ -244,5 +249,5 @@ def test_an_interrupted_run_saves_everything(number, tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert len(load(tmp_path / "train.mcap")) == summary["frames"] > 0
     assert (tmp_path / "checkpoints" / "last.pt").exists()
-    assert (tmp_path / "lap.png").exists()
-    assert "results in" in output.decode()
+    assert (tmp_path / "checkpoints" / "state.pt").exists()
+    assert f"go on with carrl train resume={tmp_path}" in output.decode()

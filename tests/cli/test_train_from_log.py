@@ -39,13 +39,13 @@ def test_a_run_on_a_log_leaves_its_results_in_one_folder_and_no_log(run):
         "metrics.csv",
         "summary.json",
     }
-    assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.pt", "last.pt"}
+    assert {path.name for path in (run / "checkpoints").glob("[bl]*")} == {"best.pt", "last.pt"}
 
 
 def test_the_summary_has_all_usual_keys_and_the_transitions(run):
     summary = json.loads((run / "summary.json").read_text())
     usual = {"seed", "track", "episodes", "frames", "updates", "wall_time_s", "start_up_s", "first_update_s"}
-    assert set(summary) == usual | {"first_lap", "evaluation", "last_evaluation", "transitions"}
+    assert set(summary) == usual | {"finished", "first_lap", "evaluation", "last_evaluation", "transitions"}
     figures = {key: summary[key] for key in ("seed", "track", "episodes", "frames", "updates", "transitions")}
     assert figures == {"seed": 0, "track": "oval", "episodes": 0, "frames": 0, "updates": 20, "transitions": 10}
     assert summary["evaluation"] == summary["last_evaluation"]
@@ -70,7 +70,7 @@ def test_several_seeds_leave_a_folder_each_and_print_a_table(log_path, tmp_path,
     assert main(["train", *overrides]) == 0
     table = capsys.readouterr().out
     assert "2 seeds on track oval" in table and "transitions" in table and "frames" not in table
-    assert {path.name for path in tmp_path.iterdir()} == {".hydra", "seed=4", "seed=5"}
+    assert {path.name for path in tmp_path.iterdir()} == {".hydra", "checkpoints", "seed=4", "seed=5"}
     config = yaml.safe_load((tmp_path / "seed=5" / ".hydra" / "config.yaml").read_text())
     assert (config["seed"], config["trainer"]["seeds"]) == (5, None)
     assert main(["evaluate", str(tmp_path / "seed=5")]) == 0

@@ -298,7 +298,7 @@ def test_a_chunk_that_would_unpack_to_gigabytes_is_refused(claimed):
 
 
 def test_an_index_that_names_one_chunk_many_times_is_refused(tmp_path, log_path, monkeypatch):
-    monkeypatch.setattr("carrl.record.mcap_file._Summary.groups", _with_every_chunk_twice)
+    monkeypatch.setattr("carrl.record.mcap_summary.Summary.groups", _with_every_chunk_twice)
     with LogWriter(tmp_path / "a.mcap", attachments={}, metadata={}) as writer:
         writer.write_metrics(Metrics(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(DamagedLogError, match="its index tells of chunks that overlap"):

@@ -160,17 +160,18 @@ def test_cql_learns_something_else_than_double_dqn(log_path, tmp_path):
     assert not torch.allclose(weights[0], weights[2])
 
 
-def test_stop_ends_the_run_after_the_round_with_a_drive(log_path, tmp_path):
+def test_stop_ends_the_run_after_the_round_and_keeps_the_network(log_path, tmp_path):
     trainer = train(build(log_path, "data.updates=10000"), tmp_path, lambda running: running.stop())
     assert trainer.updates == 250
-    assert trainer.runs[0].last is not None
+    assert trainer.runs[0].last is None
+    assert (tmp_path / "checkpoints" / "last.pt").exists()
 
 
 def test_a_loss_that_is_not_a_number_stops_the_run(tmp_path):
     transitions = logged_transitions()
     transitions["next", "reward"].fill_(math.nan)
     path = write_log(tmp_path / "train.mcap", transitions)
-    with pytest.raises(CarrlError, match=r"the loss is nan at update 20 of seed 0; try a smaller optimizer\.lr"):
+    with pytest.raises(CarrlError, match=r"the loss is nan at update 1 of seed 0: the rewards of its minibatch"):
         train(build(path), tmp_path)
 
 

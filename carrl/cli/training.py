@@ -1,0 +1,202 @@
+"""One training run from its configuration to its pictures."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from torchrl import logger as torchrl_logger
+
+from carrl.cli.signals import stopping_on_signals
+from carrl.config import build_node
+from carrl.env.track_env import TrackEnv
+from carrl.errors import CarrlError, ConfigError
+from carrl.record.writer import LogWriter
+from carrl.run.agent_run import AgentRun
+from carrl.run.build import Learning, World, build_offline_pipeline, build_pipeline, learns_from_logs
+from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_text
+from carrl.run.offline_folder import OfflineRunFolder
+from carrl.run.offline_trainer import OfflineTrainer
+from carrl.run.provenance import describe_run
+from carrl.run.state_file import StateFile
+from carrl.run.summary import summarise
+from carrl.run.trainer import Trainer
+from carrl.view.console import Display, OfflineDisplay, TrainingDisplay, print_summaries, print_summary
+from carrl.view.lap import draw_lap
+from carrl.view.learning_curve import draw_learning_curve
+
+Config = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Session:
+    """What learns, what trains it, what shows how it goes, and what else to note of it."""
+
+    learning: Learning
+    trainer: Trainer | OfflineTrainer
+    display: Display[Any]
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+
+def train(config: Config, path: Path, state: dict[str, Any] | None = None) -> None:
+    """Trains, and leaves the results in the run's folder.
+
+    Args:
+        config: resolved, as plain values.
+        path: the run's folder.
+        state: of a run that was broken off, to go on with it; None to begin.
+
+    Raises:
+        CarrlError: whatever ended the run before its time.
+        KeyboardInterrupt: a signal did, with everything saved.
+    """
+    torchrl_logger.setLevel("WARNING")
+    if not isinstance(config["threads"], int) or config["threads"] < 1:
+        raise ConfigError(f"threads is {config['threads']}; it must be a whole number of at least 1")
+    torch.set_num_threads(config["threads"])
+    with _naming_exhaustion(), ExitStack() as stack:
+        prepare = _prepare_offline if learns_from_logs(config) else _prepare
+        session = prepare(config, path, state, stack)
+        if state is not None:
+            session.trainer.load_state_dict(state)
+        with stopping_on_signals(session.trainer), session.display, suppress(KeyboardInterrupt):
+            session.trainer.run(session.display)
+        summaries = _write_summaries(session)
+    if session.trainer.stopping:
+        print(f"interrupted; everything is saved: go on with carrl train resume={path}")
+        raise KeyboardInterrupt
+    for run in session.trainer.runs:
+        if isinstance(session.trainer, Trainer):
+            _draw_learning_curve(run)
+        _draw_lap(session.learning.world, run)
+    if session.learning.plan.seeds is None:
+        print_summary(summaries[0], path)
+    else:
+        print_summaries(summaries, path)
+
+
+def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
+    """A training run in the simulator, its folders opened."""
+    pipeline = build_pipeline(config)
+    _write_config(path, config)
+    plan, folders = pipeline.plan, []
+    for index, agent in enumerate(pipeline.agents):
+        own_path, own_config = _folder_of(path, config, agent.seed)
+        own_state = state["folders"][index] if state else None
+        log = _open_log(own_path, own_config, pipeline.env, agent.seed, len(pipeline.agents), own_state)
+        folders.append(stack.enter_context(RunFolder(own_path, log, own_state)))
+    trainer = Trainer(pipeline, folders, StateFile(path, config, plan.checkpoint_interval))
+    return Session(pipeline, trainer, TrainingDisplay(plan.frames, plan.episodes))
+
+
+def _prepare_offline(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
+    """A training run on logs, its folders opened."""
+    pipeline = build_offline_pipeline(config)
+    _write_config(path, config)
+    folders = []
+    for index, agent in enumerate(pipeline.agents):
+        own_path, _ = _folder_of(path, config, agent.seed)
+        own_state = state["folders"][index] if state else None
+        folders.append(stack.enter_context(OfflineRunFolder(own_path, state=own_state)))
+    trainer = OfflineTrainer(pipeline, folders, StateFile(path, config, pipeline.plan.checkpoint_interval))
+    transitions = len(pipeline.replay_buffer)
+    display = OfflineDisplay(pipeline.offline_plan.updates, transitions)
+    return Session(pipeline, trainer, display, {"transitions": transitions})
+
+
+def _folder_of(path: Path, config: Config, seed: int) -> tuple[Path, Config]:
+    """Where the agent with this seed leaves its results, and its configuration as if trained alone.
+
+    That is the run's own folder, or one below it where there are several agents.
+    """
+    if config["trainer"].get("seeds") is not None:
+        path, config = path / f"seed={seed}", {**config, "seed": seed, "trainer": {**config["trainer"], "seeds": None}}
+        _write_config(path, config)
+    return path, config
+
+
+def _write_config(path: Path, config: Config) -> None:
+    try:
+        (path / CONFIG).parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CarrlError(f"the run's folder '{path}' cannot be written: {error.strerror}") from error
+    write_text(path / CONFIG, _as_yaml(config))
+
+
+def _open_log(
+    path: Path, config: Config, env: TrackEnv, seed: int, agents: int, state: Mapping[str, Any] | None
+) -> LogWriter | None:
+    if not config.get("recorder"):
+        return None
+    log: LogWriter = build_node(
+        "recorder",
+        config["recorder"],
+        path=path / LOG,
+        attachments={
+            "config.yaml": _as_yaml(config).encode(),
+            **{
+                f"track-{index}.json" if index else "track.json": json.dumps(track.as_dict()).encode()
+                for index, track in enumerate(env.tracks)
+            },
+        },
+        metadata=describe_run(env, seed, env.batch_size[0] // agents),
+        state=state["log"] if state else None,
+    )
+    return log
+
+
+def _as_yaml(config: Config) -> str:
+    return yaml.safe_dump(config, sort_keys=False)
+
+
+def _write_summaries(session: Session) -> list[dict[str, Any]]:
+    track, trainer = session.learning.world.track.name, session.trainer
+    summaries = [summarise(run, trainer, track=track, **session.context) for run in trainer.runs]
+    for run, summary in zip(trainer.runs, summaries, strict=True):
+        run.folder.write_summary(summary)
+    return summaries
+
+
+@contextmanager
+def _naming_exhaustion() -> Iterator[None]:
+    """Turns what Python, numpy and torch raise when memory runs out into one sentence."""
+    try:
+        yield
+    except MemoryError as error:
+        raise _exhausted() from error
+    except RuntimeError as error:  # torch's own for the CPU; for a GPU a kind of it
+        if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
+            raise _exhausted() from error
+        raise
+
+
+def _exhausted() -> CarrlError:
+    return CarrlError(
+        "out of memory; set a smaller replay_buffer.capacity, env.num_envs or trainer.seeds, and train anew, or, "
+        "if other programs took the memory, go on with resume="
+    )
+
+
+def _draw_learning_curve(run: AgentRun) -> None:
+    first_lap = run.first_lap.episode if run.first_lap else None
+    draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
+
+
+def _draw_lap(world: World, run: AgentRun) -> None:
+    best = run.best
+    if best is not None:
+        draw_lap(
+            run.folder.path / LAP,
+            world.track,
+            best.poses,
+            best.ranges,
+            world.sensor.angles.numpy(),
+            best.actions,
+            body_radius=world.vehicle.body_radius,
+            title=f"{world.track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
+            collided=best.collided,
+        )

@@ -1,0 +1,75 @@
+"""Where a run keeps all that moves, so that it can be resumed: the latest state, and the one before it."""
+
+import logging
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from carrl.errors import CheckpointError
+from carrl.run.checkpoint import load_checkpoint, save_checkpoint
+from carrl.run.settings import put_back, read_settings
+
+STATE = Path("checkpoints/state.pt")
+PREVIOUS = Path("checkpoints/state-previous.pt")
+_logger = logging.getLogger(__name__)
+
+
+class StateFile:
+    """A run's state on the disk.
+
+    Args:
+        run: the run's folder; that of all agents together, where several train side by side.
+        config: resolved, kept with every state, so that one is never taken for another run's.
+        interval: between two states, s of wall time.
+    """
+
+    def __init__(self, run: Path, config: Mapping[str, Any], interval: float) -> None:
+        self.run = run
+        self._config = config
+        self._interval = interval
+        self._settings = read_settings(run)
+        self._saved_at = time.monotonic()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the latest state has grown old."""
+        return time.monotonic() - self._saved_at >= self._interval
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Writes a state, whole or not at all; the latest one becomes the one before.
+
+        Raises:
+            CheckpointError: the disk refuses it.
+        """
+        with suppress(FileNotFoundError):
+            os.replace(self.run / STATE, self.run / PREVIOUS)
+        save_checkpoint(self.run / STATE, {"config": self._config, **state}, durably=True)
+        self._saved_at = time.monotonic()
+
+    def put_back(self, state: Mapping[str, Any]) -> None:
+        """Makes the folder anew after it was deleted or moved, with a state.
+
+        Raises:
+            CarrlError: the disk fails.
+        """
+        put_back(self._settings)
+        self.save(state)
+
+
+def load_state(run: Path) -> dict[str, Any]:
+    """The latest state of a run, or the one before where that is missing or damaged.
+
+    Raises:
+        CheckpointError: there is none that is intact.
+    """
+    found = [run / name for name in (STATE, PREVIOUS) if (run / name).exists()]
+    if not found:
+        raise CheckpointError(f"run '{run}' has no {STATE}, so it cannot be resumed; train anew")
+    for path in found[:-1]:
+        with suppress(CheckpointError):
+            return load_checkpoint(path)
+        _logger.warning("'%s' is damaged; the run is resumed from '%s' instead.", path, PREVIOUS)
+    return load_checkpoint(found[-1])
