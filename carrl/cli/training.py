@@ -13,11 +13,10 @@ from torchrl import logger as torchrl_logger
 
 from carrl.cli.signals import stopping_on_signals
 from carrl.config import build_node
-from carrl.env.track_env import TrackEnv
 from carrl.errors import CarrlError, ConfigError
 from carrl.record.writer import LogWriter
 from carrl.run.agent_run import AgentRun
-from carrl.run.build import Learning, World, build_offline_pipeline, build_pipeline, learns_from_logs
+from carrl.run.build import Learning, Pipeline, World, build_offline_pipeline, build_pipeline, learns_from_logs
 from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_text
 from carrl.run.offline_folder import OfflineRunFolder
 from carrl.run.offline_trainer import OfflineTrainer
@@ -84,12 +83,13 @@ def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack:
     pipeline = build_pipeline(config)
     _write_config(path, config)
     plan, folders = pipeline.plan, []
+    state_file = StateFile(path, config, plan.checkpoint_interval)
     for index, agent in enumerate(pipeline.agents):
         own_path, own_config = _folder_of(path, config, agent.seed)
         own_state = state["folders"][index] if state else None
-        log = _open_log(own_path, own_config, pipeline.env, agent.seed, len(pipeline.agents), own_state)
+        log = _open_log(own_path, own_config, pipeline, agent.seed, own_state, state_file)
         folders.append(stack.enter_context(RunFolder(own_path, log, own_state)))
-    trainer = Trainer(pipeline, folders, StateFile(path, config, plan.checkpoint_interval))
+    trainer = Trainer(pipeline, folders, state_file)
     return Session(pipeline, trainer, TrainingDisplay(plan.frames, plan.episodes))
 
 
@@ -128,10 +128,11 @@ def _write_config(path: Path, config: Config) -> None:
 
 
 def _open_log(
-    path: Path, config: Config, env: TrackEnv, seed: int, agents: int, state: Mapping[str, Any] | None
+    path: Path, config: Config, pipeline: Pipeline, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
 ) -> LogWriter | None:
     if not config.get("recorder"):
         return None
+    env, agents = pipeline.env, len(pipeline.agents)
     log: LogWriter = build_node(
         "recorder",
         config["recorder"],
@@ -145,6 +146,7 @@ def _open_log(
         },
         metadata=describe_run(env, seed, env.batch_size[0] // agents),
         state=state["log"] if state else None,
+        make_room=state_file.make_room,
     )
     return log
 

@@ -8,7 +8,7 @@ import logging
 import secrets
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -58,6 +58,7 @@ class LogWriter:
         metadata: what else to say about the run; the keys that the format has itself are taken.
         state: `state_dict` of the writer of a log that was broken off, to go on with it from there. What came after is
             cut off. A log that is gone or not as it was is left alone; it goes on in another file.
+        make_room: called where a full disk has no room for the end of the file either.
 
     Raises:
         LogError: the file cannot be written, `metadata` uses a taken key, or a value is out of its range.
@@ -73,6 +74,7 @@ class LogWriter:
         attachments: Mapping[str, bytes],
         metadata: Mapping[str, str],
         state: Mapping[str, Any] | None = None,
+        make_room: Callable[[], None] = lambda: None,
     ) -> None:
         """Creates the file with its attachments and metadata, or opens that of the state."""
         self._first_path = Path(path)
@@ -80,6 +82,7 @@ class LogWriter:
         _check_range("every_nth_episode", every_nth_episode, 1)
         _check_range("max_file_bytes", max_file_bytes, MIN_FILE_BYTES)
         self._envs, self._every_nth_episode, self._max_file_bytes = envs, every_nth_episode, max_file_bytes
+        self._make_room = make_room
         self._run = secrets.randbits(63)
         self._attachments, self._metadata = dict(attachments), dict(metadata)
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
@@ -321,13 +324,20 @@ class LogWriter:
         try:
             yield
         except BaseException as error:  # also Ctrl-C
-            with contextlib.suppress(OSError):  # a full disk may have no room for the summary either
-                if not self._file.closed:
-                    self._file.finish()
+            if not self._file.closed:
+                self._finish_somehow()
             self._file.close()
             if isinstance(error, OSError):
                 raise self._unwritable(error) from error
             raise
+
+    def _finish_somehow(self) -> None:
+        try:
+            self._file.finish()
+        except OSError:
+            self._make_room()
+            with contextlib.suppress(OSError):
+                self._file.finish()
 
     def _unwritable(self, error: Exception) -> LogError:
         return LogError(

@@ -14,6 +14,7 @@ from carrl.run.settings import put_back, read_settings
 
 STATE = Path("checkpoints/state.pt")
 PREVIOUS = Path("checkpoints/state-previous.pt")
+_NEW = Path("checkpoints/state-new.pt")
 _logger = logging.getLogger(__name__)
 
 
@@ -44,10 +45,20 @@ class StateFile:
         Raises:
             CheckpointError: the disk refuses it.
         """
-        with suppress(FileNotFoundError):
-            os.replace(self.run / STATE, self.run / PREVIOUS)
-        save_checkpoint(self.run / STATE, {"config": self._config, **state}, durably=True)
+        save_checkpoint(self.run / _NEW, {"config": self._config, **state}, durably=True)
+        try:
+            with suppress(FileNotFoundError):
+                os.replace(self.run / STATE, self.run / PREVIOUS)
+            os.replace(self.run / _NEW, self.run / STATE)
+        except OSError as error:
+            raise CheckpointError(f"checkpoint '{self.run / STATE}' cannot be written: {error.strerror}") from error
         self._saved_at = time.monotonic()
+
+    def make_room(self) -> None:
+        """Removes the state before the latest: a full disk has better use for its bytes."""
+        with suppress(OSError):
+            if (self.run / STATE).exists():
+                (self.run / PREVIOUS).unlink()
 
     def put_back(self, state: Mapping[str, Any]) -> None:
         """Makes the folder anew after it was deleted or moved, with a state.

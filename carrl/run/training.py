@@ -109,7 +109,11 @@ class Training:
         """
         if self._state_file is not None:
             self._check_folders()
-            self._state_file.save(self.state_dict())
+            try:
+                self._state_file.save(self.state_dict())
+            except CheckpointError:
+                self._check_folders()  # it may be gone since
+                raise
 
     def _end_round(self) -> None:
         """Looks after the folders and the state between two rounds."""
