@@ -73,7 +73,7 @@ class CarRLExperienceReplay(BaseDatasetExperienceReplay):
         if not self._is_downloaded():
             _copy(Path(dataset_id), self.data_path, split_trajs)
         super().__init__(
-            storage=TensorStorage(TensorDict.load_memmap(self.data_path)),
+            storage=TensorStorage(TensorDict.load_memmap(self.data_path, allow_pickle=False)),
             sampler=sampler,
             writer=ImmutableDatasetWriter() if writer is None else writer,
             collate_fn=collate_fn,

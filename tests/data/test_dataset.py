@@ -6,7 +6,7 @@ import sys
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor, TensorDict
+from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
 from torchrl.data import SamplerWithoutReplacement, SliceSampler, TensorDictReplayBuffer
 from torchrl.data.datasets import BaseDatasetExperienceReplay, load_dataset
 from torchrl.data.datasets.utils import _DATASET_REGISTRY
@@ -128,6 +128,24 @@ def test_a_root_that_cannot_be_written_is_refused(log_path, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(LogError, match=r"its copy in '.*file' cannot be written: .*; give another root"):
         CarRLExperienceReplay(log_path, 4, root=tmp_path / "file")
+
+
+class MakesFolder:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+def test_a_pickle_in_a_copy_is_not_loaded(make_dataset, tmp_path):
+    copy = make_dataset().data_path
+    TensorDict({"action": NonTensorData(MakesFolder(tmp_path / "made"))}).memmap(copy)
+    with pytest.raises(RuntimeError, match="pickle"):
+        make_dataset()
+    assert not (tmp_path / "made").exists()
 
 
 def test_torchrl_loads_it_by_its_prefix(log_path, tmp_path):

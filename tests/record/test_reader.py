@@ -182,7 +182,7 @@ def test_filling_a_buffer_gives_it_every_transition_in_order(long_log):
 
 def test_places_that_hold_no_file_are_refused(tmp_path):
     assert_refused(tmp_path / "missing.mcap", "cannot be read: No such file or directory")
-    assert_refused(tmp_path / "a\0.mcap", "cannot be read: embedded null byte")
+    assert_refused(tmp_path / "a\0.mcap", "embedded null")
     assert_refused(tmp_path, "is a folder; give a file, such as")
     os.mkfifo(tmp_path / "pipe")
     assert_refused(tmp_path / "pipe", "is not a regular file")

@@ -409,7 +409,7 @@ def test_an_interrupted_recovery_leaves_no_half_of_a_log(own, tmp_path, monkeypa
         ("empty.mcap", "is empty, 0 bytes"),
         ("text.mcap", "holds nothing of a CarRL log; give the train.mcap of a run"),
         ("folder", "is a folder; give a file"),
-        ("a\0.mcap", "cannot be read: embedded null byte"),
+        ("a\0.mcap", "embedded null"),  # "byte" in Python 3.11, "character in path" in 3.13
     ],
 )
 def test_a_source_that_is_no_log_is_refused(tmp_path, name, words):
