@@ -47,13 +47,15 @@ def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) ->
         raise CompilationError("no C++ compiler is installed; install g++, or set CXX")
     try:
         graph = make_fx(lambda *tensors: function(*tensors))(*inputs)  # a lambda, since it refuses bound methods
-        package = cache_dir() / f"{_fingerprint(graph, inputs)}.pt2"
+        package = _private(cache_dir()) / f"{_fingerprint(graph, inputs)}.pt2"
         if not package.exists():
             _logger.warning("Compiling for this machine; this takes about half a minute, once.")
             _compile(graph, inputs, package)
         # What torch._inductor.aoti_load_package (torch 2.13) does, without two seconds of imports; its model also sorts
         # the arguments of every call first, in as much time as this one computes.
         loader = torch._C._aoti.AOTIModelPackageLoader(str(package), "model", False, 1, -1)
+    except CompilationError:
+        raise
     except Exception as error:  # tracer, exporter, compiler and loader each have errors of their own
         raise CompilationError(f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}") from error
     native: NativeFunction = loader.run
@@ -63,6 +65,19 @@ def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) ->
 def cache_dir() -> Path:
     """Where compiled code is kept: the user's own cache folder, for code in it is run."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "carrl"
+
+
+def _private(folder: Path) -> Path:
+    """The folder, made if need be, that nobody else can write to.
+
+    Raises:
+        CompilationError: others can.
+    """
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    status = folder.stat()
+    if status.st_uid != os.getuid() or status.st_mode & 0o022:
+        raise CompilationError(f"'{folder}' belongs to another user or can be written by others; chmod 700 it")
+    return folder
 
 
 def _fingerprint(graph: GraphModule, inputs: Sequence[Tensor]) -> str:
@@ -81,7 +96,6 @@ def _fingerprint(graph: GraphModule, inputs: Sequence[Tensor]) -> str:
 
 def _compile(graph: GraphModule, inputs: Sequence[Tensor], package: Path) -> None:
     """Compiles into a file beside the package first, so that two processes may compile at once."""
-    package.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=package.parent) as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # torch 2.13's exporter warns of torch's own code
         program = torch.export.export(graph, tuple(inputs))

@@ -14,7 +14,7 @@ from carrl.run.settings import put_back, read_settings
 
 STATE = Path("checkpoints/state.pt")
 PREVIOUS = Path("checkpoints/state-previous.pt")
-_NEW = Path("checkpoints/state-new.pt")
+_NEW = Path("checkpoints/.state.partial")  # a left-over if the process is killed before it takes its place
 _logger = logging.getLogger(__name__)
 
 

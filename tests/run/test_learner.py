@@ -122,3 +122,13 @@ def test_compiled_code_is_told_apart_by_every_constant_and_shape():
     ]
     assert len(set(names)) == len(names)
     assert fingerprint(lambda values: values * discount, 3) == names[0]
+
+
+@needs_compiler
+def test_code_is_not_loaded_from_a_folder_that_others_can_write_to(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cache_dir().mkdir()
+    cache_dir().chmod(0o777)
+    updated(make_pipeline("compile=true"), count=2)
+    assert "can be written by others; chmod 700 it" in caplog.text
+    assert list(cache_dir().iterdir()) == []
