@@ -118,10 +118,10 @@ def _meeting_quads(crossing: tuple[int, int], quads: np.ndarray, place: str) -> 
     """
     count, tree = len(quads), STRtree(quads)
     overlapping: dict[int, set[int]] = {}
-    found, frontier = {crossing}, [crossing]
+    found, frontier, overlaps = {crossing}, [crossing], 0
     while frontier:
         one, other = frontier.pop()
-        too_many = len(found) > 4 * count or sum(map(len, overlapping.values())) > _MOST_OVERLAPS
+        too_many = len(found) > 4 * count or overlaps > _MOST_OVERLAPS
         if (other - one) % count in (0, 1, count - 1) or too_many:
             raise TrackError(
                 f"{place}, where its two stretches of road run into each other; "
@@ -131,6 +131,7 @@ def _meeting_quads(crossing: tuple[int, int], quads: np.ndarray, place: str) -> 
             first, second = pair[0] % count, pair[1] % count
             if first not in overlapping:
                 overlapping[first] = set(tree.query(quads[first], predicate="intersects").tolist())
+                overlaps += len(overlapping[first])
             if pair not in found and second in overlapping[first]:
                 found.add(pair)
                 frontier.append(pair)
