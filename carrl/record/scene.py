@@ -17,9 +17,6 @@ from carrl.errors import shown
 
 Floats = NDArray[np.float64]
 
-_LARGEST = 1e15
-"""Of a range, a radius or a time in a log's metadata; whole numbers can be larger than any float."""
-
 
 @dataclass(frozen=True, eq=False)
 class TrackShape:
@@ -136,10 +133,13 @@ def _parsed(entries: Mapping[str, str], key: str, kind: type | tuple[type, ...])
 
 
 def _positive(entries: Mapping[str, str], key: str) -> float:
-    found = _parsed(entries, key, (int, float))
-    if not 0 < found < _LARGEST:
-        raise ValueError(f"its metadata entry '{key}' is {shown(found)}; it must be positive")
-    return float(found)
+    try:
+        found = float(_parsed(entries, key, (int, float)))
+    except OverflowError:  # a whole number larger than any float
+        found = math.inf
+    if not 0 < found < math.inf:
+        raise ValueError(f"its metadata entry '{key}' is {found}; it must be positive")
+    return found
 
 
 def _numbers(entries: Mapping[str, str], key: str, shape: tuple[int | None, ...]) -> Floats:
