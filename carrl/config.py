@@ -9,10 +9,34 @@ from typing import Any
 
 from hydra.utils import get_object
 
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 
-ALLOWED_TARGETS = ("carrl.", "torch.optim.")
-"""What a config may build must be defined in here: a run's folder can come from a stranger."""
+TARGETS: Mapping[str, tuple[str, ...]] = {
+    "track": ("carrl.sim.track.Track.load", "carrl.sim.track.Track.random"),
+    "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
+    "sensor": ("carrl.sim.sensor.Sensor",),
+    "reward": ("carrl.env.reward.Reward",),
+    "env": ("carrl.env.track_env.TrackEnv",),
+    "network": ("carrl.agent.network.make_q_network",),
+    "exploration": ("carrl.agent.exploration.ExponentialEpsilonGreedy",),
+    "loss": ("carrl.agent.loss.make_dqn_loss", "carrl.agent.loss.make_cql_loss"),
+    "target_updater": ("carrl.agent.target_updater.make_hard_update",),
+    "optimizer": ("torch.optim.Adam",),
+    "collector": ("carrl.data.collector.make_collector",),
+    "replay_buffer": ("carrl.data.replay_buffer.make_replay_buffer",),
+    "recorder": ("carrl.record.writer.LogWriter",),
+    "trainer": ("carrl.run.plan.TrainingPlan",),
+    "evaluation": ("carrl.run.plan.EvaluationPlan",),
+    "data": ("carrl.run.plan.OfflinePlan",),
+}
+"""All that a config may build, by its node's name: those that `conf/` names and no others.
+
+A run's folder can come from a stranger, and what its config names is called when the run is evaluated.
+"""
+MOST = 2.0**53
+"""No number in a config may be larger, so that none overflows; floats tell whole numbers apart up to here."""
+MOST_ITEMS = 4096
+"""Of a list, or characters of a text, in a config."""
 
 
 def config_dir() -> Path:
@@ -42,7 +66,7 @@ def build_node(name: str, node: Mapping[str, Any], **dependencies: Any) -> Any:
     """
     target = _find_target(name, node)
     values = {key: value for key, value in node.items() if key not in ("_target_", "_partial_")}
-    _check_values(name, target, values)
+    _check_values(name, target, values, dependencies)
     try:
         return target(**values, **dependencies)
     except ValueError as error:  # how torch's optimizers refuse a value
@@ -50,29 +74,42 @@ def build_node(name: str, node: Mapping[str, Any], **dependencies: Any) -> Any:
 
 
 def _find_target(name: str, node: Mapping[str, Any]) -> Callable[..., Any]:
-    path = str(node.get("_target_")) if isinstance(node, Mapping) else None
-    if path is None or not path.startswith(ALLOWED_TARGETS):
-        raise ConfigError(f"{name}._target_ is '{path}'; it must begin with {' or '.join(ALLOWED_TARGETS)}")
-    try:
-        target = get_object(path)
-    except Exception as error:
-        raise ConfigError(f"{name}._target_ is '{path}', which cannot be found") from error
-    home = f"{getattr(target, '__module__', '')}."
-    if not callable(target) or not home.startswith(ALLOWED_TARGETS):  # carrl.config.inspect.os.system, say
-        raise ConfigError(f"{name}._target_ is '{path}', which is not a part of {' or '.join(ALLOWED_TARGETS)}")
+    path = node.get("_target_") if isinstance(node, Mapping) else None
+    allowed = TARGETS.get(name, ())
+    if not isinstance(path, str) or path not in allowed:
+        raise ConfigError(f"{name}._target_ is {shown(path)}; it must be {' or '.join(allowed)}")
+    target: Callable[..., Any] = get_object(path)
     return target
 
 
-def _check_values(name: str, target: Callable[..., Any], values: Mapping[str, Any]) -> None:
+def _check_values(
+    name: str, target: Callable[..., Any], values: Mapping[str, Any], dependencies: Mapping[str, Any]
+) -> None:
     function = target.__init__ if inspect.isclass(target) else target  # TorchRL's metaclasses hide the signature
-    parameters = [parameter for parameter in inspect.signature(function).parameters if parameter != "self"]
+    parameters = {key: each for key, each in inspect.signature(function).parameters.items() if key != "self"}
+    chosen = [key for key in parameters if key not in dependencies]
     hints = typing.get_type_hints(function)
     for key, value in values.items():
-        if key not in parameters:
-            raise ConfigError(f"{name} has no key '{key}'; {target.__name__} takes {', '.join(parameters)}")
+        if key not in chosen:
+            raise ConfigError(f"{name} has no key {shown(key)}; {target.__name__} takes {', '.join(chosen)}")
         if key in hints and not _fits(value, hints[key]):
             wanted = getattr(hints[key], "__name__", None) if inspect.isclass(hints[key]) else None
-            raise ConfigError(f"{name}.{key} is {value!r}; it must be of type {wanted or hints[key]}")
+            raise ConfigError(f"{name}.{key} is {shown(value)}; it must be of type {wanted or hints[key]}")
+        _check_size(f"{name}.{key}", value)
+    missing = [key for key in chosen if key not in values and parameters[key].default is inspect.Parameter.empty]
+    if missing:
+        raise ConfigError(f"{name} lacks {', '.join(missing)}; {target.__name__} needs a value for each")
+
+
+def _check_size(name: str, value: Any) -> None:
+    """Raises ConfigError for numbers that are not finite or too large, and for texts and lists that are too long."""
+    if isinstance(value, int | float) and not abs(value) <= MOST:  # nan fails it, too
+        raise ConfigError(f"{name} is {shown(value)}; it must be a finite number of at most {MOST:.0f}")
+    if isinstance(value, str | list) and len(value) > MOST_ITEMS:
+        kind = "characters" if isinstance(value, str) else "items"
+        raise ConfigError(f"{name} has {len(value)} {kind}; it may have at most {MOST_ITEMS}")
+    for item in value if isinstance(value, list) else ():
+        _check_size(name, item)
 
 
 def _fits(value: Any, hint: Any) -> bool:

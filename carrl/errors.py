@@ -1,5 +1,7 @@
 """Errors that a user can cause and mend; the command line prints their message alone and exits with 2."""
 
+import reprlib
+
 
 class CarrlError(Exception):
     """Base of every error that names its cause and its remedy in one sentence."""
@@ -23,3 +25,15 @@ class DamagedLogError(LogError):
 
 class CheckpointError(CarrlError):
     """A run folder or checkpoint that is missing, damaged or of another version."""
+
+
+def shown(value: object) -> str:
+    """A value from a file as Python would write it, on one line and cut, whatever it holds.
+
+    A few lines of YAML can stand for a list of billions of items, which `repr` would write out.
+    """
+    try:
+        text = reprlib.repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return "too long a number"
+    return text if len(text) <= 40 else f"{text[:40]}..."

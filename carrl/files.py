@@ -1,6 +1,7 @@
-"""A way onto the disk that never leaves half a file."""
+"""A way onto the disk that never leaves half a file, and a way from it that never takes in more than it should."""
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -41,3 +42,34 @@ def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = Carr
         if durably:
             file.flush()
             os.fsync(file.fileno())
+
+
+def read_whole(path: Path, most: int, name: str, error: type[CarrlError] = CarrlError) -> bytes:
+    """All bytes of a regular file of at most `most`.
+
+    Args:
+        path: of the file; a link to one will do.
+        most: how many bytes it may have.
+        name: what the file is called in messages, such as "track 'oval.csv'".
+        error: the kind of error to raise.
+
+    Raises:
+        CarrlError: it is missing, larger, a folder, a pipe or a device, or cannot be read.
+    """
+    try:
+        with open(path, "rb", opener=_open_without_waiting) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # a pipe would block, a device might never end
+                raise error(f"{name}: this is not a regular file; name one")
+            content = file.read(most + 1)
+    except IsADirectoryError:
+        raise error(f"{name}: this is a folder; name a file in it") from None
+    except (OSError, ValueError) as failure:  # ValueError: a NUL in the path
+        raise error(f"{name}: cannot be read: {getattr(failure, 'strerror', None) or failure}") from failure
+    if len(content) > most:
+        raise error(f"{name}: the file is too large; it may have at most {most} bytes")
+    return content
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Opens a pipe, too, without waiting for someone to write to it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

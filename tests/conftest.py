@@ -13,3 +13,10 @@ def real_circuits() -> Path:
     if not REAL_CIRCUITS.is_dir():
         pytest.skip("the optional folder ../shared/tracks/real of real circuits is absent")
     return REAL_CIRCUITS
+
+
+@pytest.fixture
+def marker(tmp_path):
+    """A file that must not be there when a test ends: what a payload would make."""
+    yield tmp_path / "harmed"
+    assert not (tmp_path / "harmed").exists()

@@ -82,7 +82,10 @@ def test_every_key_has_a_comment_with_its_unit_or_effect(leaf):
         ({"rays": True}, "sensor.rays is True; it must be of type int"),
         ({"max_range": None}, "sensor.max_range is None; it must be of type float"),
         ({"max_range": -1.0}, "sensor.max_range is -1.0; it must be a positive number of metres"),
-        ({"max_range": float("nan")}, "sensor.max_range is nan; it must be a positive number of metres"),
+        (
+            {"max_range": float("nan")},
+            "sensor.max_range is nan; it must be a finite number of at most 9007199254740992",
+        ),
     ],
 )
 def test_a_wrong_value_is_one_clear_sentence(values, message):

@@ -54,7 +54,7 @@ class ExponentialEpsilonGreedy(EGreedyModule):
                 f"exploration.epsilon_min is {epsilon_min} and epsilon_max is {epsilon_max}; "
                 "they must satisfy 0 <= epsilon_min <= epsilon_max <= 1"
             )
-        if not decay_rate >= 0:
+        if not 0 <= decay_rate < math.inf:
             raise ConfigError(f"exploration.decay_rate is {decay_rate}; it must be 0 or more per env step")
         super().__init__(spec=action_spec, eps_init=epsilon_max, eps_end=epsilon_min)
         self.epsilon_max, self.epsilon_min, self.decay_rate = epsilon_max, epsilon_min, decay_rate

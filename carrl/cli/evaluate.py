@@ -12,6 +12,7 @@ import torch
 from carrl.run.build import World, build_world
 from carrl.run.evaluation import Drive, Policy, drive, random_policy, rule_policy
 from carrl.run.folder import load_config, load_greedy_policy
+from carrl.run.plan import checked_seed
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
 from carrl.view.console import print_table
@@ -61,7 +62,7 @@ def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any]) 
     if name == "rule":
         return rule_policy
     if name == "random":
-        return random_policy(config["seed"])
+        return random_policy(checked_seed(config["seed"]))
     return load_greedy_policy(run, checkpoint, config)
 
 

@@ -5,6 +5,7 @@ import os
 import sys
 
 from carrl.errors import CarrlError
+from carrl.printable import printable
 
 VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
@@ -31,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return importlib.import_module(f"carrl.cli.{verb}").main(arguments[1:])
     except CarrlError as error:
-        print(f"carrl: {error}", file=sys.stderr)
+        print(f"carrl: {printable(str(error))}", file=sys.stderr)  # a message may name what a file holds
         return 2
     except KeyboardInterrupt:
         return 130

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carrl.errors import TrackError
+from carrl.printable import printable
 
 if TYPE_CHECKING:
     from carrl.sim.inspection import TrackReport
@@ -79,7 +80,7 @@ def _show(arguments: argparse.Namespace) -> int:
         raise TrackError(f"--out is '{path}'; the picture is a PNG, so its name must end in .png")
     track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
     save_png(track_map.figure, path)
-    print(path)
+    print(printable(str(path)))
     return 0
 
 
@@ -96,7 +97,7 @@ def _check(arguments: argparse.Namespace) -> int:
             report = inspect_track(Track.load(name), arguments.body_radius)
         except TrackError as error:
             exit_code = 2
-            print(f"carrl: {error}", file=sys.stderr)
+            print(f"carrl: {printable(str(error))}", file=sys.stderr)
             documents.append({"path": name, "error": str(error)})
             continue
         exit_code = max(exit_code, 1 if report.faults else 0)
@@ -202,9 +203,9 @@ def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", show_header=any(header))
+    table = Table(title=printable(title), title_justify="left", show_header=any(header))
     for name in header:
         table.add_column(name, overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(printable, row))
     Console(markup=False, highlight=False, emoji=False).print(table)

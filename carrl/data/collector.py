@@ -14,15 +14,19 @@ from torchrl.collectors import Collector as SyncDataCollector
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
 
+MOST_STEPS = 2**16
+
 
 def make_collector(steps_per_batch: int, *, env: TrackEnv, policy: TensorDictModuleBase) -> SyncDataCollector:
     """An endless iterator over batches of transitions, [N, steps_per_batch], from all cars of the environment.
 
     Raises:
-        ConfigError: `steps_per_batch` is less than 1.
+        ConfigError: `steps_per_batch` is less than 1 or too large.
     """
-    if steps_per_batch < 1:
-        raise ConfigError(f"collector.steps_per_batch is {steps_per_batch}; it must be at least 1")
+    if not 1 <= steps_per_batch <= MOST_STEPS:
+        raise ConfigError(
+            f"collector.steps_per_batch is {steps_per_batch}; it must be at least 1 and at most {MOST_STEPS}"
+        )
     return SyncDataCollector(
         env,
         policy,

@@ -116,7 +116,7 @@ def _check_actions(log: Log) -> None:
 def _numbers(log: Log, key: str, default: Any) -> Numbers:
     try:
         return np.asarray(_entry(log, key, default), dtype=np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise LogError(f"log '{log.path}': its metadata entry '{key}' holds no numbers; give an intact log") from error
 
 

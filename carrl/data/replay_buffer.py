@@ -24,6 +24,8 @@ KEYS = (
     ("next", "terminated"),
 )
 """What the loss reads of a transition; nothing else is kept."""
+MOST_TRANSITIONS = 2**27
+"""Of a memory: about 10 GB with the default sensor."""
 
 
 class AgentSampler(RandomSampler):
@@ -65,12 +67,14 @@ def make_replay_buffer(
     An item is one transition of each agent, a TensorDict of batch size [A]; a sample is [batch_size, A].
 
     Raises:
-        ConfigError: the batch is empty or larger than the memory.
+        ConfigError: the batch is empty or larger than the memory, or the memory is too large.
     """
     if not 1 <= batch_size <= capacity:
         raise ConfigError(
             f"replay_buffer.batch_size is {batch_size} and capacity is {capacity}; it must be 1 to capacity transitions"
         )
+    if capacity > MOST_TRANSITIONS:
+        raise ConfigError(f"replay_buffer.capacity is {capacity}; it may be at most {MOST_TRANSITIONS} transitions")
     return TensorDictReplayBuffer(
         # "compilable": the length and the cursor are plain numbers, not shared memory, which may be full
         storage=LazyTensorStorage(capacity, device=device, compilable=True),

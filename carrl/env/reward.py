@@ -5,11 +5,13 @@ Shapes: `B` cars.
 Source: "Simulation-based Self-driving Car using Reinforcement Learning", section IV.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from carrl.errors import ConfigError
 from carrl.sim.vehicle import Action
 
 TERMS = ("collision", "proximity", "gate", "steering")
@@ -35,6 +37,12 @@ class Reward:
     proximity_threshold: float = 0.1
     turn: float = 0.0
     switch: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a value that is no finite number."""
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ConfigError(f"reward.{name} is {value}; it must be a finite number")
 
     def is_near_wall(self, readings: Tensor) -> Tensor:
         """Whether any sensor reads below the threshold: [B, R] in 0..1 to [B] bool."""

@@ -23,6 +23,10 @@ from carrl.sim.vehicle import Vehicle, VehicleModel
 
 Tracks = Track | str | Sequence[Track | str]
 
+MOST_CARS = 2**20
+MOST_READINGS = 2**26
+"""Of all cars together at one moment: 256 MiB."""
+
 
 class Situation(NamedTuple):
     """All that an episode is at one moment.
@@ -112,8 +116,8 @@ class Task:
         observe_action: bool = False,
     ) -> None:
         """Builds the simulator."""
-        _check("num_envs", num_envs, num_envs >= 1, "at least 1")
-        _check("max_steps", max_steps, max_steps >= 1, "at least 1")
+        _check("num_envs", num_envs, 1 <= num_envs <= MOST_CARS, f"at least 1 and at most {MOST_CARS}")
+        _check("max_steps", max_steps, 1 <= max_steps < 2**63, "at least 1 and less than 2^63")
         _check("start_offset", start_offset, 0 <= start_offset <= 1, "a share between 0 and 1")
         _check("heading_jitter", heading_jitter, 0 <= heading_jitter <= 180, "between 0 and 180 degrees")
         self.reward = reward or Reward()
@@ -123,6 +127,8 @@ class Task:
         tracks = [variant for base in bases for variant in _variants(base, mirrored, reversed)]
         self.simulator = Simulator(tracks, vehicle or Vehicle(), sensor or Sensor(), device)
         self.cars = num_envs * len(seeds)
+        readings = self.cars * self.simulator.sensor.rays
+        _check("num_envs", num_envs, readings <= MOST_READINGS, f"so few that {readings} rays become {MOST_READINGS}")
         self.streams = RandomStreams(seeds, num_envs)
         self._variants = len(tracks) // max(1, len(bases))
         self._samples_track = sample_track and len(bases) > 1

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carrl.errors import shown
+
 Floats = NDArray[np.float64]
 
 
@@ -45,11 +47,11 @@ class TrackShape:
             document = json.loads(content)
             name, length = document["name"], float(document["length"])
             arrays = [np.array(document[key], dtype=np.float64) for key in ("centreline", "walls", "gates")]
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
             raise ValueError("the attachment does not describe a track") from error
         centreline, walls, gates = arrays
         shapes = (centreline.shape[1:], walls.shape[1:], gates.shape[1:])
-        finite = all(np.isfinite(array).all() and len(array) for array in arrays) and length > 0
+        finite = all(np.isfinite(array).all() and array.size for array in arrays) and 0 < length < math.inf
         if not isinstance(name, str) or shapes != ((2,), (2, 2), (2, 2)) or not finite:
             raise ValueError("the attachment does not describe a track")
         return TrackShape(name, length, centreline, walls, gates)
@@ -126,12 +128,15 @@ def _parsed(entries: Mapping[str, str], key: str, kind: type | tuple[type, ...])
     except (ValueError, RecursionError) as error:
         raise ValueError(f"its metadata entry '{key}' is not JSON") from error
     if not isinstance(found, kind):
-        raise ValueError(f"its metadata entry '{key}' is {found!r:.40}")
+        raise ValueError(f"its metadata entry '{key}' is {shown(found)}")
     return found
 
 
 def _positive(entries: Mapping[str, str], key: str) -> float:
-    found = float(_parsed(entries, key, (int, float)))
+    try:
+        found = float(_parsed(entries, key, (int, float)))
+    except OverflowError:  # a whole number larger than any float
+        found = math.inf
     if not 0 < found < math.inf:
         raise ValueError(f"its metadata entry '{key}' is {found}; it must be positive")
     return found
@@ -142,7 +147,7 @@ def _numbers(entries: Mapping[str, str], key: str, shape: tuple[int | None, ...]
     found = _parsed(entries, key, list)
     try:
         array = np.array(found, dtype=np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"its metadata entry '{key}' is no list of numbers") from error
     wanted = tuple(size if want is None else want for want, size in zip(shape, array.shape, strict=False))
     if array.ndim != len(shape) or wanted != array.shape or not np.isfinite(array).all():

@@ -162,6 +162,8 @@ def read_trace(log: Log, episode: int) -> EpisodeTrace:
         raise _undescribed(log, f"the steps of episode {episode} are out of order")
     if columns["action"].min() < 0 or columns["action"].max() >= len(scene.action_names):
         raise _undescribed(log, f"episode {episode} has an action without a name")
+    if not all(np.isfinite(columns[name]).all() for name in ("pose", "observation", "next_observation")):
+        raise _undescribed(log, f"episode {episode} has a pose or a reading that is no finite number")
     if not 0 <= columns["track"][0] < len(scene.tracks):
         raise _undescribed(log, f"the track of episode {episode} is not attached")
     return EpisodeTrace(scene, columns)

@@ -18,7 +18,7 @@ from carrl.data.logs import check_logs, fill_from_logs
 from carrl.env.observation import observation_size
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.run.learner import Agent, Learner
 from carrl.run.plan import EvaluationPlan, OfflinePlan, TrainingPlan
 from carrl.sim.sensor import Sensor
@@ -189,7 +189,7 @@ def build_network(config: Config, generator: torch.Generator | None = None) -> Q
     return build_node(
         "network",
         config["network"],
-        observation_size=observation_size(config["sensor"]["rays"], observes_action(config)),
+        observation_size=observation_size(build_node("sensor", config["sensor"]).rays, observes_action(config)),
         action_count=len(Action),
         generator=generator or torch.Generator(),
     )
@@ -197,7 +197,8 @@ def build_network(config: Config, generator: torch.Generator | None = None) -> Q
 
 def observes_action(config: Config) -> bool:
     """Whether the network reads the last action, too."""
-    return _checked_flag("env.observe_action", config["env"]["observe_action"])
+    node = config["env"]
+    return _checked_flag("env.observe_action", node.get("observe_action") if isinstance(node, Mapping) else None)
 
 
 def _checked_device(name: str) -> torch.device:
@@ -216,7 +217,7 @@ def _checked_device(name: str) -> torch.device:
 
 def _checked_flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool):
-        raise ConfigError(f"{name} is {value!r}; it must be true or false")
+        raise ConfigError(f"{name} is {shown(value)}; it must be true or false")
     return value
 
 

@@ -1,5 +1,6 @@
 """Checkpoints: tensors and plain values in a file that is read without running code from it."""
 
+import os
 import zipfile
 from collections.abc import Mapping
 from io import BytesIO
@@ -9,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from carrl.errors import CheckpointError
-from carrl.files import write_whole
+from carrl.errors import CheckpointError, shown
+from carrl.files import read_whole, write_whole
 
 FORMAT_VERSION = 1
 MAX_BYTES = 16 * 2**30
@@ -44,29 +45,31 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         CheckpointError: the file is missing, too large, damaged, holds more than tensors and plain values, or has
             another version.
     """
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise CheckpointError(f"checkpoint '{path}' does not exist; name the folder of a run that has begun to train")
-    if path.stat().st_size > MAX_BYTES:
-        raise CheckpointError(f"checkpoint '{path}' has more than {MAX_BYTES} bytes; name a run's")
+    content = read_whole(path, MAX_BYTES, f"checkpoint '{path}'", CheckpointError)
     try:
-        _check_archive(path)
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        _check_archive(content)
+        state = torch.load(BytesIO(content), map_location="cpu", weights_only=True)
     except Exception as error:  # torch.load raises whatever the unpickler meets
         raise CheckpointError(f"checkpoint '{path}' is damaged or no checkpoint of CarRL") from error
     version = state.get("format_version") if isinstance(state, dict) else None
-    if version != FORMAT_VERSION:
+    if type(version) is not int or version != FORMAT_VERSION:
         raise CheckpointError(
-            f"checkpoint '{path}' has format version {version}; this CarRL reads {FORMAT_VERSION}: "
+            f"checkpoint '{path}' has format version {shown(version)}; this CarRL reads {FORMAT_VERSION}: "
             "use the version that wrote it, or train anew"
         )
     return state
 
 
-def _check_archive(path: Path) -> None:
+def _check_archive(content: bytes) -> None:
     """Checks every byte, which torch does not, and that the file unpacks to no more than its own size."""
-    with zipfile.ZipFile(path) as archive:
-        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+    with zipfile.ZipFile(BytesIO(content)) as archive:
+        members = archive.infolist()
+        if any(member.compress_type != zipfile.ZIP_STORED for member in members):
             raise ValueError("it is compressed")
+        if sum(member.file_size for member in members) > len(content):
+            raise ValueError("parts of it overlap")
         damaged = archive.testzip()
         if damaged is not None:
             raise ValueError(f"'{damaged}' in it has another CRC")

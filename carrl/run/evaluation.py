@@ -26,6 +26,9 @@ Policy = Callable[[Tensor, Tensor], Tensor]
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
 
+MOST_STEPS, MOST_READINGS = 2**18, 2**28
+"""Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
+
 SENSOR_SEED = 0
 """Of what a noisy sensor reads, so that the same policy drives the same drive again."""
 
@@ -111,7 +114,7 @@ def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1)
     """Drives one lap from each of `starts` places, spread evenly along the track from the start line on.
 
     Raises:
-        ConfigError: fewer than one start place.
+        ConfigError: fewer than one start place, or a drive takes too many steps.
     """
     if starts < 1:
         raise ConfigError(f"starts is {starts}; it must be at least 1")
@@ -119,15 +122,26 @@ def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1)
 
 
 def drive_from(simulator: Simulator, reward: Reward, policy: Policy, stations: Tensor) -> list[Drive]:
-    """Drives one lap from each of these places, m along the centreline, [B]."""
+    """Drives one lap from each of these places, m along the centreline, [B].
+
+    Raises:
+        ConfigError: that takes too many steps.
+    """
     stations = stations.double()
+    steps = round(TIME_LIMIT_LAPS * simulator.lap_steps)
+    if steps > MOST_STEPS or steps * len(stations) * simulator.sensor.rays > MOST_READINGS:
+        raise ConfigError(
+            f"a lap of track '{simulator.track.name}' may take {steps} steps with {simulator.sensor.rays} rays from "
+            f"each of {len(stations)} places, more than can be kept; "
+            "make the car faster or its time step longer, or drive from fewer places"
+        )
     state = simulator.start(stations)
     ranges = simulator.sense(state)
     streams = RandomStreams([SENSOR_SEED], len(stations))
     nothing = torch.zeros_like(state.next_gate)
     outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], [nothing + FIRST_ACTION]
     driving = ~nothing.bool()
-    for _ in range(round(TIME_LIMIT_LAPS * simulator.lap_steps)):
+    for _ in range(steps):
         action = policy(read(simulator.sensor, outcomes[-1].ranges, streams), actions[-1])
         outcome = simulator.step(outcomes[-1].state, action)
         actions.append(action)

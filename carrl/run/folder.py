@@ -10,16 +10,18 @@ learning_curve.png, lap.png
 """
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import yaml
+import torch
 from tensordict import TensorDictBase
 
 from carrl.errors import CheckpointError
-from carrl.files import PARTIAL, write_whole
+from carrl.files import PARTIAL, read_whole, write_whole
+from carrl.plain_yaml import parse_yaml
 from carrl.record.messages import Episode, Metrics
 from carrl.record.writer import LogWriter
 from carrl.run.build import build_network, observes_action
@@ -41,6 +43,8 @@ _CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed"
 EPISODE_FIGURES = ("episode", "frame", "env", "episode_return", "length", "gates", "laps", "ended")
 """What `metrics.csv` tells of an episode."""
 MAX_TEXT_BYTES = 64 * 2**20
+MAX_CONFIG_BYTES = 2**18
+"""Eighty times what training writes."""
 
 
 class RunFolder:
@@ -170,12 +174,12 @@ def load_config(run: Path) -> dict[str, Any]:
     Raises:
         CheckpointError: this is no run's folder, or its configuration is damaged.
     """
-    if not run.is_dir():
+    if not os.path.isdir(run):  # Path.is_dir raises on a name that is too long or may not be looked up
         raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
     try:
-        config = yaml.safe_load(read_text(run / CONFIG))
-    except yaml.YAMLError as error:
-        raise CheckpointError(f"run '{run}': {CONFIG} is not YAML") from error
+        config = parse_yaml(_read_bytes(run / CONFIG, MAX_CONFIG_BYTES))
+    except ValueError as error:
+        raise CheckpointError(f"run '{run}': {CONFIG}: {error}") from error
     missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
     if missing:
         raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
@@ -191,27 +195,42 @@ def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any]) -> Po
     path = checkpoint_path(run, checkpoint)
     state = load_checkpoint(path).get("network")
     network = build_network(config)
-    try:
-        network.load_state_dict(state)
-    except (RuntimeError, TypeError, AttributeError) as error:
-        raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}") from error
+    if not _fits(state, network.state_dict()):
+        raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")
+    network.load_state_dict(state)
     return greedy_policy(network, observes_action(config))
+
+
+def _fits(state: object, wanted: Mapping[str, torch.Tensor]) -> bool:
+    """Whether these are the network's parameters, by name, type and shape, all of them finite numbers."""
+    return (
+        isinstance(state, dict)
+        and state.keys() == wanted.keys()
+        and all(isinstance(state[name], torch.Tensor) and _alike(state[name], own) for name, own in wanted.items())
+    )
+
+
+def _alike(found: torch.Tensor, wanted: torch.Tensor) -> bool:
+    kinds = (found.layout, found.dtype, found.device, found.shape)
+    return kinds == (wanted.layout, wanted.dtype, wanted.device, wanted.shape) and bool(found.isfinite().all())
 
 
 def read_text(path: Path) -> str:
     """The text of a run's file, bounded in size.
 
     Raises:
-        CheckpointError: the file is missing, too large or no text.
+        CheckpointError: the file is missing, too large, no regular file or no text.
     """
     try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
-            raise CheckpointError(f"'{path}' is larger than {MAX_TEXT_BYTES} bytes")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise CheckpointError(f"'{path}' does not exist; a run's folder has it") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CheckpointError(f"'{path}' cannot be read: {error}") from error
+        return _read_bytes(path, MAX_TEXT_BYTES).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise CheckpointError(f"'{path}' is no text: {error.reason}") from error
+
+
+def _read_bytes(path: Path, most: int) -> bytes:
+    if not os.path.lexists(path):
+        raise CheckpointError(f"'{path}' does not exist; a run's folder has it")
+    return read_whole(path, most, f"'{path}'", CheckpointError)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -4,7 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
+
+MOST_AGENTS = 4096
+"""That train side by side."""
+LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -38,20 +42,34 @@ class TrainingPlan:
             ConfigError: a seed is no whole number of at least 0, or there twice.
         """
         named = [seed] if self.seeds is None else [each for entry in self.seeds for each in _expand(entry)]
-        if not named or len(set(named)) < len(named):
-            raise ConfigError(f"trainer.seeds is {list(self.seeds or [])}; it must name at least one, and none twice")
-        for each in named:
-            if isinstance(each, bool) or not isinstance(each, int) or each < 0:
-                raise ConfigError(f"seed is {each!r}; it must be a whole number of at least 0")
-        return named
+        if not named or len(named) > MOST_AGENTS or len(set(named)) < len(named):
+            raise ConfigError(
+                f"trainer.seeds is {shown(list(self.seeds or []))}; "
+                f"it must name at least one, none twice, and at most {MOST_AGENTS}"
+            )
+        return [checked_seed(each) for each in named]
+
+
+def checked_seed(seed: object) -> int:
+    """The seed, which is a whole number of at least 0 and fits torch's generators.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= LARGEST_SEED:
+        raise ConfigError(f"seed is {shown(seed)}; it must be a whole number of at least 0 and less than 2^63")
+    return seed
 
 
 def _expand(entry: int | str) -> list[int]:
     if isinstance(entry, int):
         return [entry]
     first, dots, last = entry.partition("..")
-    if not (dots and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
-        raise ConfigError(f"trainer.seeds has '{entry}'; write seeds as whole numbers or as first..last, as in [0..9]")
+    numbers = all(end.isdecimal() and len(end) < 20 for end in (first, last))
+    if not (dots and numbers and int(first) <= int(last) < int(first) + MOST_AGENTS):
+        raise ConfigError(
+            f"trainer.seeds has {shown(entry)}; write seeds as whole numbers or as first..last, as in [0..9]"
+        )
     return list(range(int(first), int(last) + 1))
 
 

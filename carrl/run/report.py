@@ -1,19 +1,19 @@
 """Finds finished and unfinished runs and lines their results up."""
 
-import csv
-import io
-import json
 import math
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from carrl.errors import CheckpointError, ConfigError
+from carrl.printable import printable
 from carrl.run.best_lap import find_best_lap
 from carrl.run.build import World, build_world
 from carrl.run.evaluation import Drive
-from carrl.run.folder import CONFIG, METRICS, SUMMARY, load_config, read_text
+from carrl.run.folder import CONFIG, load_config
+from carrl.run.results import read_returns, read_summary
 from carrl.sim.simulator import Simulator
 
 HEADER = (
@@ -54,12 +54,17 @@ class RunResult:
         if self.summary is None:
             return [self.label, str(len(self.episode_returns)), *["unfinished"] * 2, *["-"] * (len(HEADER) - 4)]
         first, best = self.summary["first_lap"], self.summary["evaluation"]
-        return [
+        row = [
             self.label,
             f"{self.summary['episodes']:,}",
             f"{self.summary['frames']:,}",
             f"{first['episode']:,}" if first else "never",
             f"{first['frame']:,}" if first else "never",
+        ]
+        if best is None:
+            return [*row, *["-"] * (len(HEADER) - len(row))]
+        return [
+            *row,
             "complete" if best["lap_completed"] else f"{best['progress']:.0%}",
             f"{best['lap_reward']:.0f}",
             f"{best['lap_steps']}",
@@ -70,7 +75,7 @@ class RunResult:
 
     def beside(self, best_lap: Drive) -> list[str]:
         """The run's figures under `BEST_LAP_HEADER`."""
-        if self.summary is None:
+        if self.summary is None or self.summary["evaluation"] is None:
             return ["-"] * len(BEST_LAP_HEADER)
         own = self.summary["evaluation"]
         return [
@@ -85,7 +90,7 @@ def find_runs(roots: list[Path]) -> list[RunResult]:
     Raises:
         CheckpointError: there is none, or one is damaged.
     """
-    found = {config.parent.parent for root in roots for config in root.rglob(str(CONFIG))}
+    found = {config.parent.parent for root in roots if os.path.isdir(root) for config in root.rglob(str(CONFIG))}
     found -= {folder.parent for folder in found}  # a run of several seeds holds one folder for each
     folders = sorted(found, key=_in_natural_order)
     if not folders:
@@ -124,7 +129,7 @@ def markdown_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
         header += BEST_LAP_HEADER
         table = [row + run.beside(best_lap) for row, run in zip(table, runs, strict=True)]
     rows = [header, ["---", *["---:"] * (len(header) - 1)], *table]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    return "\n".join("| " + " | ".join(printable(cell).replace("|", "\\|") for cell in row) + " |" for row in rows)
 
 
 def _in_natural_order(folder: Path) -> list[tuple[str, int]]:
@@ -148,14 +153,6 @@ def _labels(folders: list[Path]) -> list[str]:
 
 
 def _read_run(folder: Path, label: str) -> RunResult:
-    summary = None
-    try:
-        if (folder / SUMMARY).exists():
-            summary = json.loads(read_text(folder / SUMMARY))
-        metrics = read_text(folder / METRICS) if (folder / METRICS).exists() else ""
-        learnt_from_logs = isinstance(summary, dict) and "transitions" in summary
-        rows = [] if learnt_from_logs else csv.DictReader(io.StringIO(metrics))
-        returns = tuple(float(row["episode_return"]) for row in rows)
-    except (ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"run '{folder}': {SUMMARY} or {METRICS} is damaged") from error
-    return RunResult(label, folder, summary, returns)
+    summary = read_summary(folder)
+    learnt_from_logs = summary is not None and "transitions" in summary
+    return RunResult(label, folder, summary, () if learnt_from_logs else read_returns(folder))

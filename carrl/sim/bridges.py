@@ -12,10 +12,15 @@ import shapely
 from shapely import LinearRing, LineString, STRtree
 
 from carrl.errors import TrackError
+from carrl.sim.crossings import check_crossings, find_crossings, segments_of
 
 Stretch = tuple[float, float]
 """Begin and end of a stretch of road, stations in m: begin in [0, length), end > begin, maybe beyond `length`."""
 
+MOST_CROSSINGS = 2**10
+"""Of the centreline with itself; each bridge has one, or a few where points of it lie on each other."""
+_MOST_OVERLAPS = 2**16
+"""Of pieces of road that meet at one bridge; a real one has some hundred."""
 MARGIN = 1.0
 """How far each stretch reaches beyond the last of its walls that touches the other's road, m."""
 
@@ -90,10 +95,12 @@ def find_bridges(name: str, centreline: np.ndarray, left: np.ndarray, right: np.
 def _crossing_segments(centreline: np.ndarray) -> list[tuple[int, int]]:
     """Pairs of segments, lower index first, that meet although they are not neighbours."""
     count = len(centreline)
-    segments = shapely.linestrings(np.stack([centreline, np.roll(centreline, -1, axis=0)], axis=1))
-    low, high = STRtree(segments).query(segments, predicate="intersects")
-    apart = (high - low > 1) & (high - low < count - 1)
-    return sorted(zip(low[apart].tolist(), high[apart].tolist(), strict=True))
+    segments = segments_of(centreline)
+    crossings = find_crossings(
+        segments, segments, lambda low, high: (high - low > 1) & (high - low < count - 1), MOST_CROSSINGS
+    )
+    check_crossings(crossings, MOST_CROSSINGS)
+    return sorted(map(tuple, crossings.tolist()))
 
 
 def _quads(centreline: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -111,10 +118,11 @@ def _meeting_quads(crossing: tuple[int, int], quads: np.ndarray, place: str) -> 
     """
     count, tree = len(quads), STRtree(quads)
     overlapping: dict[int, set[int]] = {}
-    found, frontier = {crossing}, [crossing]
+    found, frontier, overlaps = {crossing}, [crossing], 0
     while frontier:
         one, other = frontier.pop()
-        if (other - one) % count in (0, 1, count - 1) or len(found) > 4 * count:
+        too_many = len(found) > 4 * count or overlaps > _MOST_OVERLAPS
+        if (other - one) % count in (0, 1, count - 1) or too_many:
             raise TrackError(
                 f"{place}, where its two stretches of road run into each other; "
                 "a bridge needs two stretches that part on both sides of it"
@@ -123,6 +131,7 @@ def _meeting_quads(crossing: tuple[int, int], quads: np.ndarray, place: str) -> 
             first, second = pair[0] % count, pair[1] % count
             if first not in overlapping:
                 overlapping[first] = set(tree.query(quads[first], predicate="intersects").tolist())
+                overlaps += len(overlapping[first])
             if pair not in found and second in overlapping[first]:
                 found.add(pair)
                 frontier.append(pair)

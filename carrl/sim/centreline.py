@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 MIN_POINTS = 3
+MOST_POINTS = 100_000
 MIN_STEP = 0.01
 """Least distance between neighbouring points, m; together with MAX_COORDINATE it keeps them apart in float32."""
 MAX_COORDINATE = 1e5

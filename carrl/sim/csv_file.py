@@ -12,7 +12,15 @@ import numpy as np
 
 from carrl.errors import TrackError
 from carrl.files import write_whole
-from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, drop_closing_point, repeated_point
+from carrl.sim.centreline import (
+    MAX_COORDINATE,
+    MIN_POINTS,
+    MIN_STEP,
+    MOST_POINTS,
+    Centreline,
+    drop_closing_point,
+    repeated_point,
+)
 from carrl.sim.file_content import read_content
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
@@ -69,6 +77,8 @@ def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
         for row in reader:
             if "".join(row).strip():
                 rows.append((line, row))
+            if len(rows) > MOST_POINTS + 2:
+                raise TrackError(f"track '{path.name}': more than {MOST_POINTS} points; leave out some")
             line = reader.line_num + 1  # A quoted cell may hold line breaks, so rows are not lines.
     except (UnicodeDecodeError, csv.Error):
         raise TrackError(f"track '{path.name}': this is not a CSV text file") from None

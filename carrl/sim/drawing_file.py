@@ -3,16 +3,15 @@
 Shapes: `N` corners or points in the file, `P` points of the centreline.
 """
 
-import reprlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from shapely import LinearRing, Polygon
 
-from carrl.errors import TrackError
+from carrl.errors import TrackError, shown
+from carrl.plain_yaml import parse_yaml
 from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, drop_closing_point, repeated_point
 from carrl.sim.drawing import rounded_polygon, smooth_curve
 from carrl.sim.file_content import read_content
@@ -92,7 +91,7 @@ class _Reader:
     def _line(self) -> Centreline:
         smooth = self.values.get("smooth", True)
         if not isinstance(smooth, bool):
-            raise self._error(f"smooth is {_shown(smooth)}; it must be true or false")
+            raise self._error(f"smooth is {shown(smooth)}; it must be true or false")
         if "width" in self.values:
             table = self._table("points", (2,), "[x, y], since width is given")
             table = np.column_stack([table, np.full(len(table), self._number("width"))])
@@ -122,10 +121,10 @@ class _Reader:
     def _table(self, key: str, columns: tuple[int, ...], form: str) -> np.ndarray:
         rows = self.values[key]
         if not isinstance(rows, list):
-            raise self._error(f"{key} is {_shown(rows)}; it must be a list with a row {form} for each")
+            raise self._error(f"{key} is {shown(rows)}; it must be a list with a row {form} for each")
         for number, row in enumerate(rows, start=1):
             if not isinstance(row, list) or len(row) not in columns:
-                raise self._error(f"{key}: row {number} is {_shown(row)}; it must be {form}")
+                raise self._error(f"{key}: row {number} is {shown(row)}; it must be {form}")
             for name, value in zip(("x", "y", "width"), row, strict=False):
                 self._check_number(f"{key}: row {number}: {name}", value)
         table = drop_closing_point(np.array(rows, dtype=np.float64))
@@ -152,7 +151,7 @@ class _Reader:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not abs(value) <= MAX_COORDINATE:  # nan fails it, too
             raise self._error(
-                f"{name} is {_shown(value)}; it must be a number of metres of at most {MAX_COORDINATE:.0f}"
+                f"{name} is {shown(value)}; it must be a number of metres of at most {MAX_COORDINATE:.0f}"
             )
 
     def _gates(self, length: float) -> int | None:
@@ -160,7 +159,7 @@ class _Reader:
         if "gates" not in self.values:
             return None
         if isinstance(gates, bool) or not isinstance(gates, int) or not MIN_GATES <= gates <= most:
-            raise self._error(f"gates is {_shown(gates)}; it must be a whole number from {MIN_GATES} to {most}")
+            raise self._error(f"gates is {shown(gates)}; it must be a whole number from {MIN_GATES} to {most}")
         return gates
 
     def _error(self, what: str) -> TrackError:
@@ -169,35 +168,16 @@ class _Reader:
 
 def _read_mapping(path: Path) -> dict[str, Any]:
     name = f"track '{path.name}'"
-    content = read_content(path, MAX_YAML_BYTES)
     try:
-        loader = yaml.SafeLoader(content.decode("utf-8-sig"))
-        node = loader.get_single_node()
-        keys = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
-        values = loader.construct_document(node) if node else None
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        raise TrackError(f"{name}: {line}this is not YAML: {' '.join(str(error.problem).split())[:80]}") from None
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError):
-        raise TrackError(f"{name}: this is not a YAML text file") from None
+        values = parse_yaml(read_content(path, MAX_YAML_BYTES))
+    except ValueError as error:
+        raise TrackError(f"{name}: {error}") from None
     if values is None:
         raise TrackError(f"{name}: the file is empty; it must have one of corners and points")
     if not isinstance(values, dict):
-        raise TrackError(f"{name}: this is {_shown(values)}; it must be keys with values, such as 'width: 8'")
-    repeated = [key for index, key in enumerate(keys) if key in keys[:index]]
-    if repeated:
-        raise TrackError(f"{name}: the key {str(repeated[0])[:40]} stands in it twice; keep one of the two")
+        raise TrackError(f"{name}: this is {shown(values)}; it must be keys with values, such as 'width: 8'")
     return values
 
 
 def _half_widths(widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return widths / 2, widths / 2
-
-
-def _shown(value: Any) -> str:
-    """A value about as the user wrote it, in one short line."""
-    try:
-        text = reprlib.repr(value)  # Bounded, since aliases can make a small file a huge structure.
-    except ValueError:  # an integer of more digits than Python prints
-        return "too long a number"
-    return text if len(text) <= 40 else f"{text[:40]}..."

@@ -7,8 +7,9 @@ Shapes: `P` points.
 """
 
 import numpy as np
-import shapely
-from shapely import LinearRing, LineString, STRtree
+from shapely import LinearRing, LineString
+
+from carrl.sim.crossings import check_crossings, find_crossings, segments_of
 
 LONGEST_FOLD = 8.0
 """A fold spans at most this many half widths of the centreline; where a wall crosses itself after a longer way, two
@@ -25,6 +26,9 @@ def cut_folds(wall: np.ndarray, centreline: np.ndarray) -> np.ndarray:
 
     Returns:
         [P, 2], m. The points of a cut fold coincide.
+
+    Raises:
+        TrackError: the wall crosses itself tens of thousands of times.
     """
     for _ in range(_MOST_ROUNDS):  # Cutting one fold can uncover another; two rounds are rare.
         folds = [] if LinearRing(wall).is_simple else _find_folds(wall, centreline)
@@ -69,16 +73,20 @@ def _loops(wall: np.ndarray, steps: np.ndarray) -> list[tuple[int, int]]:
     """
     count = len(wall)
     ends = np.roll(wall, -1, axis=0)
-    walls = shapely.linestrings(np.stack([wall, ends], axis=1))
-    one, other = STRtree(walls).query(walls, predicate="intersects")
-    # Walls of a fold that was cut meet where they end.
-    meet_at_end = [
-        (here == there).all(axis=1) for here in (wall[one], ends[one]) for there in (wall[other], ends[other])
-    ]
-    apart = (other - one > 1) & (other - one < count - 1) & ~np.any(meet_at_end, axis=0)
+    walls = segments_of(wall)
+
+    def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        # Walls of a fold that was cut meet where they end.
+        meet_at_end = [
+            (here == there).all(axis=1) for here in (wall[one], ends[one]) for there in (wall[other], ends[other])
+        ]
+        return np.asarray((other - one > 1) & (other - one < count - 1) & ~np.any(meet_at_end, axis=0))
+
+    crossings = find_crossings(walls, walls, apart)
+    check_crossings(crossings)
     stations = np.concatenate([[0], steps.cumsum()])
     loops = []
-    for low, high in zip(one[apart].tolist(), other[apart].tolist(), strict=True):
+    for low, high in crossings.tolist():
         around = stations[high] - stations[low] > stations[-1] / 2
         loops.append((high, low + count - high) if around else (low, high - low))
     return sorted(loops, key=lambda loop: -loop[1])

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
-from shapely import STRtree
 
 from carrl.sim.bridges import Bridge, on_two_levels
+from carrl.sim.crossings import find_crossings
 from carrl.sim.folds import count_folds
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BODY_RADIUS = 0.5
 """Of the car that must fit through, m; that of the default vehicle."""
 MOST_FAULTS_OF_A_KIND = 5
+MOST_PAIRS = 2**14
+"""Of lines that cross, of a kind, after which no more are looked for."""
 _SAME_PLACE = 25.0
 """Faults of a kind within this distance along the road are told as one, m."""
 _GATE_END = 0.02
@@ -123,7 +125,6 @@ class _Lines:
         self._track = track
         self._ends = track.walls.double().numpy()
         self._walls = shapely.linestrings(self._ends)
-        self._tree = STRtree(self._walls)
         self._wall_stations = track.wall_stations.numpy()
         middle = track.centreline.double().numpy()
         steps = np.linalg.norm(np.roll(middle, -1, axis=0) - middle, axis=1)
@@ -137,26 +138,28 @@ class _Lines:
 
     def crossing_walls(self) -> np.ndarray:
         """Of walls that meet although neither begins where the other ends, [K, 2]."""
-        one, other = self._tree.query(self._walls, predicate="intersects")
-        one, other = one[one < other], other[one < other]
         begins, ends = self._ends[:, 0], self._ends[:, 1]
-        joined = (ends[one] == begins[other]).all(axis=1) | (ends[other] == begins[one]).all(axis=1)
-        return self._on_one_level(self._wall_stations[one[~joined]], self._wall_stations[other[~joined]])
+
+        def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+            joined = (ends[one] == begins[other]).all(axis=1) | (ends[other] == begins[one]).all(axis=1)
+            return np.asarray((one < other) & ~joined)
+
+        one, other = find_crossings(self._walls, self._walls, apart, MOST_PAIRS).T
+        return self._on_one_level(self._wall_stations[one], self._wall_stations[other])
 
     def walls_across_the_road(self) -> np.ndarray:
         """Of places on the centreline and the walls that cross it there, [K, 2]."""
-        place, wall = self._tree.query(self._middle, predicate="intersects")
+        place, wall = find_crossings(self._middle, self._walls, _any, MOST_PAIRS).T
         return self._on_one_level(self._middle_stations[place], self._wall_stations[wall])
 
     def walls_across_gates(self) -> np.ndarray:
         """Of gates and the walls that cross them, [K, 2]."""
-        gate, wall = self._tree.query(self._gates, predicate="intersects")
+        gate, wall = find_crossings(self._gates, self._walls, _any, MOST_PAIRS).T
         return self._on_one_level(self._gate_stations[gate], self._wall_stations[wall])
 
     def crossing_gates(self) -> np.ndarray:
         """Of gates that cross each other, [K, 2]."""
-        one, other = STRtree(self._gates).query(self._gates, predicate="intersects")
-        one, other = one[one < other], other[one < other]
+        one, other = find_crossings(self._gates, self._gates, lambda one, other: one < other, MOST_PAIRS).T
         return self._on_one_level(self._gate_stations[one], self._gate_stations[other])
 
     def _on_one_level(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -164,12 +167,21 @@ class _Lines:
         return np.stack([one[~apart], other[~apart]], axis=1)
 
 
+def _any(one: np.ndarray, _other: np.ndarray) -> np.ndarray:
+    return np.ones(len(one), dtype=bool)
+
+
 def _told(what: str, places: np.ndarray) -> list[str]:
     """A sentence for each pair of places, stations [K, 2], m, that is not near one told before."""
-    told: list[np.ndarray] = []
-    for pair in np.sort(places, axis=1):
-        if all(np.abs(pair - before).max() > _SAME_PLACE for before in told):
-            told.append(pair)
+    told: list[tuple[float, float]] = []
+    squares: dict[tuple[int, int], list[tuple[float, float]]] = {}  # what was told, by squares of that distance
+    for one, other in np.sort(places, axis=1).tolist():
+        square = int(one // _SAME_PLACE), int(other // _SAME_PLACE)
+        around = [(square[0] + x, square[1] + y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        near = (before for each in around for before in squares.get(each, ()))
+        if all(max(abs(one - first), abs(other - second)) > _SAME_PLACE for first, second in near):
+            told.append((one, other))
+            squares.setdefault(square, []).append((one, other))
     sentences = [f"{what} at {one:.0f} m and {other:.0f} m" for one, other in told[:MOST_FAULTS_OF_A_KIND]]
     more = len(told) - len(sentences)
     return [*sentences, *([f"{what} at {more} more places"] if more else [])]

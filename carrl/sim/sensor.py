@@ -11,6 +11,9 @@ from torch import Tensor
 
 from carrl.errors import ConfigError
 
+MOST_RAYS = 4096
+"""Far more than any scanner has; a batch of so many readings still fits into memory."""
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -32,8 +35,8 @@ class Sensor:
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a fan that cannot be built."""
-        if not (isinstance(self.rays, int) and self.rays >= 1):
-            raise ConfigError(f"sensor.rays is {self.rays}; it must be a whole number of at least 1")
+        if not (isinstance(self.rays, int) and 1 <= self.rays <= MOST_RAYS):
+            raise ConfigError(f"sensor.rays is {self.rays}; it must be a whole number from 1 to {MOST_RAYS}")
         if not (_is_number(self.field_of_view) and 0 < self.field_of_view < 360):
             raise ConfigError(f"sensor.field_of_view is {self.field_of_view}; it must lie between 0 and 360 degrees")
         if not (_is_number(self.max_range) and self.max_range > 0):

@@ -14,6 +14,9 @@ from torch import Tensor
 
 from carrl.errors import ConfigError
 
+LEAST, MOST = 1e-9, 1e9
+"""Bounds of every parameter of a car, m, m/s, s or degrees; far off, so that none of their products overflows."""
+
 
 class Action(IntEnum):
     """What the driver can ask for; the car moves on in all three."""
@@ -49,10 +52,12 @@ class VehicleModel(ABC):
     body_radius: float
 
     def __post_init__(self) -> None:
-        """Raises ConfigError unless every value is a positive number."""
+        """Raises ConfigError unless every value is a positive number, neither tiny nor huge."""
         for name, value in vars(self).items():
-            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+            if not (isinstance(value, int | float) and 0 < value < math.inf):
                 raise ConfigError(f"vehicle.{name} is {value}; it must be a positive number")
+            if not LEAST <= value <= MOST:
+                raise ConfigError(f"vehicle.{name} is {value}; it must lie between {LEAST:g} and {MOST:g}")
 
     @property
     def forward(self) -> Manoeuvre:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from carrl.errors import TrackError
-from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, drop_closing_point, repeated_point
+from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, MOST_POINTS, drop_closing_point, repeated_point
 from carrl.sim.file_content import read_content
 
 COLUMNS = ("centre x", "centre y", "inner x", "inner y", "outer x", "outer y")
@@ -68,6 +68,8 @@ def _read_array(path: Path) -> np.ndarray:
             f"track '{path.name}': the array has the shape {shape}; it must have a row for each point with "
             f"{len(COLUMNS)} columns: {', '.join(COLUMNS)}"
         )
+    if shape[0] > MOST_POINTS + 1 and len(content) - file.tell() >= math.prod(shape) * kind.itemsize:
+        raise TrackError(f"track '{path.name}': {shape[0]} rows; a track may have at most {MOST_POINTS} points")
     if len(content) - file.tell() < math.prod(shape) * kind.itemsize:
         raise TrackError(f"track '{path.name}': the file ends before its {shape[0]} rows do; copy it again")
     numbers = np.frombuffer(content, kind, math.prod(shape), file.tell())

@@ -9,10 +9,12 @@ from typing import Any, Generic, Self, TypeVar
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from carrl.printable import printable
 from carrl.run.agent_run import RECENT_EPISODES
 from carrl.run.offline_trainer import OfflineTrainer
 from carrl.run.trainer import Trainer
@@ -112,14 +114,15 @@ class OfflineDisplay(Display[OfflineTrainer]):
 
 def print_summary(summary: Mapping[str, Any], folder: Path) -> None:
     """Prints the run's result as a short table."""
-    table = Table(title=f"seed {summary['seed']} on track {summary['track']}", title_justify="left")
+    title = f"seed {summary['seed']} on track {summary['track']}"
+    table = Table(title=escape(printable(title)), title_justify="left")
     table.add_column("result")
     table.add_column("", justify="right")
     for name, value in _summary_rows(summary):
         table.add_row(name, value)
     console = Console()
     console.print(table)
-    console.print(f"results in {folder}", soft_wrap=True, highlight=False)
+    console.print(_place(folder), soft_wrap=True, highlight=False)
 
 
 def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> None:
@@ -127,7 +130,11 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
     columns = _OFFLINE_COLUMNS if _is_offline(summaries[0]) else _COLUMNS
     rows = [[value_of(summary) for value_of in columns.values()] for summary in summaries]
     print_table(f"{len(rows)} seeds on track {summaries[0]['track']}", tuple(columns), rows)
-    Console().print(f"results in {folder}", soft_wrap=True, highlight=False)
+    Console().print(_place(folder), soft_wrap=True, highlight=False)
+
+
+def _place(folder: Path) -> str:
+    return escape(printable(f"results in {folder}"))
 
 
 def _is_offline(summary: Mapping[str, Any]) -> bool:
@@ -188,11 +195,11 @@ def _how_far(attempt: Mapping[str, Any]) -> str:
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Prints a table whose first column is text and whose others are figures."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(printable(title)), title_justify="left")
     for index, name in enumerate(header):
         table.add_column(name, justify="left" if index == 0 else "right", no_wrap=index == 0)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(escape(printable(cell)) for cell in row))
     console = Console()
     if not console.is_terminal:
         console.width = FILE_WIDTH

@@ -17,6 +17,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
+from carrl.printable import printable
 from carrl.sim.bridges import Bridge, on_stretch
 from carrl.sim.track import Track
 from carrl.view.figure import GATE, INK, ROAD, WALL, WIDTH, new_figure
@@ -63,7 +64,7 @@ def draw_track_map(track: Track, title: str) -> TrackMap:
     draw_gates(track_map, track)
     _number_gates(track_map, track, covered=_draw_start(track_map, track))
     _draw_scale_bar(track_map)
-    heading = textwrap.fill(title, 100, max_lines=2, placeholder="...")
+    heading = textwrap.fill(printable(title), 100, max_lines=2, placeholder="...")
     top = (sum(axes.get_xlim()) / 2, axes.get_ylim()[1] - 8 / track_map.scale)
     axes.text(*top, heading, ha="center", va="top", fontsize=10.5, color=INK, parse_math=False, zorder=9)
     return track_map

@@ -311,7 +311,7 @@ def test_a_file_too_large_to_be_a_track_is_refused_unread(tmp_path: Path):
 
 
 def test_an_endless_device_is_refused_too():
-    with pytest.raises(TrackError, match=r"^track 'zero': the file is too large"):
+    with pytest.raises(TrackError, match=r"^track 'zero': this is not a regular file"):
         Track.load("/dev/zero")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from carrl.cli.log.arguments import Verbs, add_json, add_verb
+from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted, print_json
 from carrl.errors import DamagedLogError
 from carrl.log import IntactLog, verify
@@ -26,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
         intact = verify(Path(arguments.file))
     except DamagedLogError as error:
         _say(arguments, None, {"intact": False, "error": str(error)})
-        print(f"carrl: {error}", file=sys.stderr)
+        print(f"carrl: {printable(str(error))}", file=sys.stderr)
         return 1
     _say(arguments, _sentence(intact), {"intact": True, **dataclasses.asdict(intact)})
     return 0

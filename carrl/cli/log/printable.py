@@ -1,14 +1,12 @@
-"""Text that a log holds, made harmless for a terminal."""
+"""What a log holds, made harmless for a terminal."""
 
 import dataclasses
 
+from carrl.printable import printable
 from carrl.record.scene import Scene
 from carrl.record.trace import EpisodeTrace
 
-
-def printable(text: str) -> str:
-    """The text with every character that could steer a terminal, or hide in it, written as Python would escape it."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+__all__ = ["printable", "printable_scene", "printable_trace"]
 
 
 def printable_scene(scene: Scene) -> Scene:

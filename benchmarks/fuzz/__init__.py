@@ -1,0 +1,1 @@
+"""Feeds every parser with files as a careless or hostile stranger might make them."""

@@ -1,0 +1,64 @@
+"""Run folders and payloads as a stranger might send them."""
+
+import pickle
+import subprocess
+import time
+from functools import cache
+from pathlib import Path
+
+import yaml
+
+from carrl.cli.main import main
+from carrl.run.build import build_network
+from carrl.run.checkpoint import save_checkpoint
+from carrl.run.folder import CONFIG, checkpoint_path
+from tests.configs import compose
+
+READ = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
+
+
+class Payload:
+    """Runs a command when it is unpickled."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self):
+        return subprocess.call, (["touch", str(self.marker)],)
+
+
+def proves_harmful(marker: Path) -> bool:
+    """Whether the payload does what it is meant to, where nobody takes care; removes its trace."""
+    pickle.loads(pickle.dumps(Payload(marker)))
+    harmed = marker.exists()
+    marker.unlink(missing_ok=True)
+    return harmed
+
+
+@cache
+def _untrained():
+    config = {key: value for key, value in compose("experiment=smoke").items() if key in READ}
+    return config, build_network(config).state_dict()
+
+
+def make_run(folder: Path, **nodes) -> Path:
+    """The folder of an untrained run, with these nodes of its configuration replaced."""
+    config, network = _untrained()
+    save_checkpoint(checkpoint_path(folder, "best"), {"network": network})
+    (folder / CONFIG).parent.mkdir()
+    (folder / CONFIG).write_text(yaml.safe_dump(config | nodes))
+    return folder
+
+
+def refused(capsys, *arguments):
+    """What `carrl` with these arguments says on stderr in one line, having exited with 2 within seconds."""
+    capsys.readouterr()
+    began = time.monotonic()
+    assert main([str(argument) for argument in arguments]) == 2
+    assert time.monotonic() - began < 10
+    printed = capsys.readouterr()
+    assert printed.err.startswith("carrl: ")
+    assert printed.err.count("\n") == 1
+    assert len(printed.err) < 1000
+    assert printed.err[:-1].isprintable()
+    return printed.err
