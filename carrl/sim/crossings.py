@@ -39,7 +39,8 @@ def find_crossings(lines: np.ndarray, others: np.ndarray, wanted: Wanted, most: 
         examined += len(one)
         if examined > MOST_EXAMINED:
             raise TrackError(
-                f"more than {MOST_EXAMINED:,} pairs of a track's walls and gates are near each other; make it narrower or shorter"
+                f"more than {MOST_EXAMINED:,} pairs of a track's walls and gates are near each other; "
+                "make it narrower or shorter"
             )
         one = one + begin
         keep = wanted(one, other)
