@@ -7,8 +7,6 @@ from carrl.run.report.document import as_json
 from carrl.run.report.findings import Findings, find
 from carrl.run.report.runs_table import best_lap_of
 from carrl.run.report.text import report_text
-from carrl.view.learning_curve import RunCurve, draw_learning_curves
-from carrl.view.report.folder import REPORT, write_report
 
 
 def main(argv: list[str]) -> int:
@@ -19,13 +17,15 @@ def main(argv: list[str]) -> int:
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:
+        from carrl.view.report.folder import write_report  # brings Matplotlib, which text alone does not need
+
         write_report(arguments.out, findings, best_lap)
     if arguments.json:
         print(as_json(findings, best_lap))
         return 0
     print(report_text(findings, best_lap))
     if arguments.out:
-        print(f"\nreport in {arguments.out / REPORT}")
+        print(f"\nreport in {arguments.out}")
     return 0
 
 
@@ -58,6 +58,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _draw_curves(path: Path, findings: Findings) -> None:
+    from carrl.view.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
+
     first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]
     curves = {
         run.label: RunCurve(run.episode_returns, lap["episode"] if lap else None)

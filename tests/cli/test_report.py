@@ -29,7 +29,7 @@ def test_a_report_leaves_text_tables_and_figures_in_one_folder(sweep, tmp_path, 
         assert f"]({figure})" in text
     with (out / "runs.csv").open() as file:
         assert [row["seed"] for row in csv.DictReader(file)] == ["0", "1", "2", "3", "4"] * 2
-    assert capsys.readouterr().out.endswith(f"report in {out}/report.md\n")
+    assert capsys.readouterr().out.endswith(f"report in {out}\n")
 
 
 def test_the_same_runs_give_the_same_bytes(sweep, tmp_path):

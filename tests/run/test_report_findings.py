@@ -57,7 +57,7 @@ def test_clear_differences_between_few_runs_are_not_significant_and_the_report_s
     assert laps.probability.low == 1.0
     assert not laps.significant
     assert findings.runs_needed == 4  # 2 of 70 ways
-    assert "train at least 4 seeds of each" in report_text(findings)
+    assert "train at least 4 seeds of each group" in report_text(findings)
 
 
 def test_many_pairs_need_more_runs(tmp_path):

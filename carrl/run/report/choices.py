@@ -13,7 +13,7 @@ from carrl.run.folder import read_text
 from carrl.run.report.reading import RunResult
 
 OVERRIDES, HYDRA = Path(".hydra/overrides.yaml"), Path(".hydra/hydra.yaml")
-SEEDS = ("seed", "trainer.seeds")
+WITHIN_GROUP = ("seed", "trainer.seeds", "resume")
 """What may differ within a group."""
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster where PyYAML has it
 
@@ -45,13 +45,13 @@ def read_choices(run: RunResult) -> Choices:
     Hydra's own files stand in the folder of the run, or in the one above, where several seeds were trained at once.
     What is missing or damaged there only makes names longer, and is passed over.
     """
-    values = {key: value for key, value in flat(run.config).items() if key not in SEEDS}
+    values = {key: value for key, value in flat(run.config).items() if key not in WITHIN_GROUP}
     hydra, overrides = _first(run, HYDRA), _first(run, OVERRIDES)
     options = {key: shown(value) for key, value in _at(hydra, "hydra", "runtime", "choices").items()}
     options = {key: option for key, option in options.items() if "/" not in str(key)}  # Hydra's own
     job = _at(hydra, "hydra", "job").get("num")
     typed = [override_key(each) for each in overrides if isinstance(each, str)] if isinstance(overrides, list) else []
-    typed = [key for key in dict.fromkeys(typed) if key and key not in SEEDS and not key.startswith("hydra")]
+    typed = [key for key in dict.fromkeys(typed) if key and key not in WITHIN_GROUP and not key.startswith("hydra")]
     return Choices(values, options, tuple(typed), job if isinstance(job, int) else 0)
 
 

@@ -53,13 +53,13 @@ class Comparison:
         chance = self.probability
         return (
             f"{self.first} {self.measure.better} than {self.second} (probability of improvement {chance.value:.2f} "
-            f"[{chance.low:.2f}, {chance.high:.2f}], p = {written_p(self.corrected_p)})"
+            f"[{chance.low:.2f}, {chance.high:.2f}], {_equation(self.corrected_p)})"
         )
 
 
 def written_p(p: float) -> str:
     """A p-value with two digits that count."""
-    return "1" if p >= 0.995 else f"{p:.2g}"
+    return "1" if p >= 0.995 else "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
 
 def pairs_to_compare(groups: Sequence[Group], baseline: str | None = None) -> list[Pair]:
@@ -106,6 +106,10 @@ def values_of(group: Group, measure: Measure) -> list[float]:
     return [value for value in map(measure.value, group.counted) if value is not None]
 
 
+def _equation(p: float) -> str:
+    return f"p {written_p(p)}" if p < 1e-4 else f"p = {written_p(p)}"
+
+
 def _differ_in_one(first: Group, second: Group) -> bool:
     return sum(first.differs[key] != second.differs[key] for key in first.differs) == 1
 
@@ -125,17 +129,9 @@ def _by(measure: Measure, pairs: Sequence[Pair]) -> list[Comparison]:
     p_values = [p_value(*sides[index]) for index in enough]
     comparisons = []
     for index, p, corrected in zip(enough, p_values, holm(p_values), strict=True):
-        better, worse = (0, 1) if improvement(*sides[index]).value >= 0.5 else (1, 0)
-        first, second = sides[index][better], sides[index][worse]
-        comparisons.append(
-            Comparison(
-                measure,
-                first=pairs[index][better].label,
-                second=pairs[index][worse].label,
-                runs=(len(first), len(second)),
-                probability=improvement(first, second),
-                p=p,
-                corrected_p=corrected,
-            )
-        )
+        chance, (first, second) = improvement(*sides[index]), pairs[index]
+        runs = (len(sides[index][0]), len(sides[index][1]))
+        if chance.value < 0.5:
+            chance, first, second, runs = chance.complement, second, first, runs[::-1]
+        comparisons.append(Comparison(measure, first.label, second.label, runs, chance, p, corrected))
     return comparisons

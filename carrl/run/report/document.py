@@ -11,7 +11,7 @@ from carrl.run.report.findings import Findings, GroupFigure, lapped
 from carrl.run.report.groups import Group
 from carrl.run.report.measures import MEASURES
 from carrl.run.report.reading import RunResult
-from carrl.run.report.statistics import CONFIDENCE, PERMUTATIONS, RESAMPLES, SEED, Estimate
+from carrl.run.report.statistics import CONFIDENCE, RESAMPLES, SEED, Estimate
 from carrl.run.report.tables import comma_separated
 
 RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")
@@ -32,8 +32,7 @@ def as_json(findings: Findings, best_lap: Drive | None = None) -> str:
             "interval": "percentiles of a bootstrap stratified by group",
             "confidence": CONFIDENCE,
             "resamples": RESAMPLES,
-            "test": "two-sided Mann-Whitney by permutation, Holm's correction for all pairs of a measure",
-            "permutations": PERMUTATIONS,
+            "test": "exact two-sided Mann-Whitney, Holm's correction for all pairs of a measure",
             "significance": SIGNIFICANCE,
             "seed": SEED,
         },

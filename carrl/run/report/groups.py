@@ -1,6 +1,7 @@
 """Runs that differ in nothing but their seed, and what tells such groups apart."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -59,9 +60,8 @@ def group_runs(runs: Sequence[RunResult], roots: Sequence[Path] = ()) -> list[Gr
 
 def _group(differs: dict[str, str], runs: list[RunResult]) -> Group:
     label = ", ".join(f"{key}={value}" for key, value in differs.items()) or ONLY_GROUP
-    planned = {seed for run in runs for seed in _planned_seeds(run)}
     runs = sorted(runs, key=lambda run: (-1 if run.seed is None else run.seed, in_natural_order(run.folder)))
-    return Group(label, differs, tuple(runs), tuple(sorted(planned)))
+    return Group(label, differs, tuple(runs), tuple(sorted(_planned_seeds(runs))))
 
 
 def _place(run: RunResult, choices: Choices, roots: Sequence[Path]) -> tuple[int, int, list[tuple[str, int]]]:
@@ -69,16 +69,18 @@ def _place(run: RunResult, choices: Choices, roots: Sequence[Path]) -> tuple[int
     return root, choices.job, in_natural_order(run.folder)
 
 
-def _planned_seeds(run: RunResult) -> list[int]:
-    """The run's own seed, or all that were to be trained at once, as the folder above or its own tells."""
-    for folder in (run.folder.parent, run.folder):
-        try:
-            seeds = (load_config(folder).get("trainer") or {}).get("seeds")
-            if seeds:
-                return TrainingPlan(1, 1, seeds).agent_seeds(0)
-        except (CarrlError, TypeError, AttributeError):
-            continue
-    return [] if run.seed is None else [run.seed]
+def _planned_seeds(runs: Sequence[RunResult]) -> set[int]:
+    """The seeds that the runs' own configurations name, and those of the folders above, for seeds trained at once."""
+    configs = [run.config for run in runs]
+    for folder in {run.folder.parent for run in runs if run.trained_with_others}:
+        with suppress(CarrlError):
+            configs.append(load_config(folder))
+    seeds: set[int] = set()
+    for config in configs:
+        with suppress(CarrlError, TypeError, AttributeError):  # written by hand; the run itself would have been refused
+            named = (config.get("trainer") or {}).get("seeds")
+            seeds.update(TrainingPlan(1, 1, named).agent_seeds(config["seed"]))
+    return seeds
 
 
 def _differences(groups: Sequence[Choices]) -> list[dict[str, str]]:

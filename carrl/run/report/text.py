@@ -8,7 +8,7 @@ from carrl.run.report.comparison import SIGNIFICANCE, Comparison, written_p
 from carrl.run.report.findings import Findings, GroupFigure, lapped
 from carrl.run.report.measures import MEASURES, Measure
 from carrl.run.report.runs_table import runs_table
-from carrl.run.report.statistics import CONFIDENCE, PERMUTATIONS, RESAMPLES, Estimate
+from carrl.run.report.statistics import CONFIDENCE, RESAMPLES, Estimate
 from carrl.run.report.tables import markdown, printable
 
 METHOD = f"""\
@@ -17,8 +17,8 @@ METHOD = f"""\
 - The probability of improvement is that of a run of the one group being better than a run of the other, ties counted
   half, with the same kind of interval.
 - A difference is significant where this interval excludes 0.5 and the corrected p is below {SIGNIFICANCE}. p is that of
-  the two-sided Mann-Whitney test by permutation (all ways to divide the runs, or {PERMUTATIONS:,} of them), corrected
-  by Holm's method for all pairs that are compared by the same measure, not for the number of measures.
+  the exact two-sided Mann-Whitney test, corrected by Holm's method for all pairs that are compared by the same measure,
+  not for the number of measures.
 - A run that never lapped has its first lap after all others' in comparisons. In means it counts with the frames or
   seconds that it was driven, and the mean is marked ≥.
 - Progress, reward and smoothness are those of the best greedy drive; smoothness only where it completed the lap.
@@ -93,8 +93,8 @@ def _differences(findings: Findings) -> Iterator[str]:
         yield "\n".join(f"- significant: {printable(str(comparison))}" for comparison in significant)
     elif findings.runs_needed is not None:
         yield (
-            "No difference is significant, and with so few runs none can be: to compare so many pairs of groups, train "
-            f"at least {findings.runs_needed} seeds of each."
+            "No difference is significant, and with so few runs none can be; "
+            f"train at least {findings.runs_needed} seeds of each group."
         )
     else:
         yield "No difference is significant."

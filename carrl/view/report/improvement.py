@@ -74,10 +74,7 @@ def _draw_panel(axes: Axes, shown: Sequence[Comparison], pair: tuple[str, str], 
 
 def _of(group: str, comparison: Comparison) -> Estimate:
     """The probability that this group is the better one."""
-    chance = comparison.probability
-    if comparison.first == group:
-        return chance
-    return Estimate(1 - chance.value, 1 - chance.high, 1 - chance.low)
+    return comparison.probability if comparison.first == group else comparison.probability.complement
 
 
 def _legend() -> list[Line2D]:

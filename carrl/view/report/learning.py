@@ -28,6 +28,7 @@ def draw_returns(path: Path, groups: Sequence[Group]) -> bool:
     _count_frames(axes)
     _name_axes(axes, "frames (env steps)", "return, mean of the last 20 episodes")
     _warn_of_scales(axes, groups)
+    axes.set_title("interquartile mean, 95 % band", fontsize=7.5, color=FAINT, loc="right")
     name_groups(figure, curves, styles)
     save_png(figure, path)
     return True
@@ -52,6 +53,7 @@ def draw_profiles(path: Path, groups: Sequence[Group]) -> bool:
             axes.set_xlim(left=0)
             _count_frames(axes, ticks=5)
             _name_axes(axes, "frames (env steps)", "share of runs that have lapped")
+            axes.set_title("95 % bands", fontsize=7.5, color=FAINT, loc="right")
         else:
             what = "final return, mean of 20 episodes" if curves is returns else "reward of the best drive"
             axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))

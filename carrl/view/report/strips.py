@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from carrl.run.report.findings import Findings, GroupFigure
@@ -39,7 +40,7 @@ def _draw_strips(path: Path, findings: Findings, measures: tuple[Measure, Measur
     if not any(measure.key in figures for figures in findings.figures for measure in measures):
         return False
     groups, styles = findings.groups, looks(findings.groups)
-    figure = new_figure(height=0.9 + 0.5 * len(groups))
+    figure = new_figure(height=1.1 + 0.5 * len(groups))
     for axes, measure in zip(figure.subplots(1, 2, sharey=True), measures, strict=True):
         _draw_axes(axes, measure, groups)
         for row, (group, figures) in enumerate(zip(groups, findings.figures, strict=True)):
@@ -49,8 +50,15 @@ def _draw_strips(path: Path, findings: Findings, measures: tuple[Measure, Measur
                 place = axes.get_yaxis_transform()
                 axes.text(0.03, row, "none", transform=place, va="center", color=FAINT, fontsize=8)
         _scale(axes, groups, measure)
+    figure.legend(handles=_legend(), loc="outside upper left", ncols=3, frameon=False, fontsize=8)
     save_png(figure, path)
     return True
+
+
+def _legend() -> list[Line2D]:
+    mean = Line2D([], [], color=FAINT, marker="o", markersize=6.5, linewidth=2.2, markeredgecolor="white")
+    mean.set_label("interquartile mean, 95 % interval")
+    return [Line2D([], [], color=FAINT, marker="o", markersize=3.5, linestyle="none", label="one run"), mean]
 
 
 def _draw_axes(axes: Axes, measure: Measure, groups: Sequence[Group]) -> None:
@@ -113,7 +121,7 @@ def _scale(axes: Axes, groups: Sequence[Group], measure: Measure) -> None:
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_minor_locator(NullLocator())
     else:
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
     axes.margins(x=0.08)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _written(measure, value)))
 
