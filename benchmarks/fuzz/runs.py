@@ -18,11 +18,14 @@ from benchmarks.fuzz.mutation import NUMBERS, mutate
 from benchmarks.fuzz.parser import Parser
 from benchmarks.fuzz.values import VALUES, change
 from carrl.config import config_dir
+from carrl.errors import CarrlError
 from carrl.run.build import build_network, build_world
 from carrl.run.checkpoint import FORMAT_VERSION
 from carrl.run.folder import CONFIG, METRICS, SUMMARY, checkpoint_path, load_config, load_greedy_policy
 from carrl.run.plan import checked_seed
-from carrl.run.report import find_runs, markdown_table
+from carrl.run.report.findings import find
+from carrl.run.report.reading import DAMAGED
+from carrl.run.report.text import report_text
 
 _READ = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
 
@@ -145,17 +148,26 @@ class Results(RunParser):
             **{"switches_per_100m": 20.5, "reversals": 3, "near_wall_share": 0.1, "progress": 1.0},
         }
         first = {"episode": 5, "frame": 700, "wall_time_s": 3.5}
-        summary: Any = {"seed": 0, "episodes": 100, "frames": 6000, "first_lap": first, "evaluation": evaluation}
+        summary: Any = {
+            **{"seed": 0, "episodes": 100, "frames": 6000, "updates": 5900, "wall_time_s": 3.5},
+            **{"first_lap": first, "evaluation": evaluation},
+        }
         for _ in range(draw.choice((0, 1, 1, 2, 3))):
             summary = change(draw, summary)
         text = json.dumps(summary).encode()
         (self.folder / SUMMARY).write_bytes(text if draw.random() < 0.7 else mutate(draw, text, [text]))
-        rows = [f"{episode},{draw.uniform(-300, 400):.2f},collision" for episode in range(draw.choice((0, 1, 30)))]
+        rows = [
+            f"{episode},{60 * episode},{draw.uniform(-300, 400):.2f},-20.0"
+            for episode in range(draw.choice((0, 1, 30)))
+        ]
         if rows and draw.random() < 0.3:
-            rows[-1] = f"9,{draw.choice(NUMBERS)},x"
-        table = "\n".join(["episode,episode_return,ended", *rows, ""]).encode()
+            rows[-1] = f"9,{draw.choice(NUMBERS)},{draw.choice(NUMBERS)},x"
+        table = "\n".join(["episode,frame,episode_return,mean_return_20", *rows, ""]).encode()
         (self.folder / METRICS).write_bytes(table if draw.random() < 0.7 else mutate(draw, table, [table, b"a,b\n"]))
 
     def feed(self) -> None:
-        """Makes the report's table."""
-        markdown_table(find_runs([self.folder]))
+        """Makes the report, which names a damaged run among its problems."""
+        (run,) = (findings := find([self.folder], None)).runs
+        report_text(findings, None)
+        if run.state == DAMAGED:
+            raise CarrlError(run.reason)

@@ -11,7 +11,7 @@ VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
     "drive": "drive a track yourself, with the keyboard",
-    "report": "compare runs: a table, and their learning curves in one picture",
+    "report": "compare runs: tables, figures, and which differences are significant",
     "log": "look into a run's MCAP log",
     "track": "list, draw, check and make up tracks",
 }

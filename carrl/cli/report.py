@@ -1,17 +1,49 @@
-"""`carrl report`: lines up the results of runs."""
+"""`carrl report`: lines up the results of runs and compares groups of them."""
 
 import argparse
 from pathlib import Path
 
-from carrl.run.report import best_lap_of, find_runs, markdown_table
-from carrl.view.learning_curve import RunCurve, draw_learning_curves
+from carrl.run.report.document import as_json
+from carrl.run.report.findings import Findings, find
+from carrl.run.report.runs_table import best_lap_of
+from carrl.run.report.text import report_text
 
 
 def main(argv: list[str]) -> int:
-    """Prints a table in Markdown and, on demand, draws all learning curves in one picture."""
-    parser = argparse.ArgumentParser(prog="carrl report", description="Compares runs.")
+    """Prints a report in Markdown, or as JSON, and on demand writes it with its figures into a folder."""
+    arguments = _parser().parse_args(argv)
+    findings = find(arguments.directories, arguments.baseline)
+    best_lap = best_lap_of(findings.runs, arguments.bin_size) if arguments.best_lap else None
+    if arguments.curves:
+        _draw_curves(arguments.curves, findings)
+    if arguments.out:
+        from carrl.view.report.folder import write_report  # brings Matplotlib, which text alone does not need
+
+        write_report(arguments.out, findings, best_lap)
+    if arguments.json:
+        print(as_json(findings, best_lap))
+        return 0
+    print(report_text(findings, best_lap))
+    if arguments.out:
+        print(f"\nreport in {arguments.out}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="carrl report",
+        description="Compares runs: groups those that differ in their seed alone, tells which groups differ "
+        "significantly, and names runs that are missing, broken or there twice.",
+    )
     parser.add_argument("directories", nargs="+", type=Path, metavar="DIR", help="a run, or a folder of runs")
-    parser.add_argument("--curves", type=Path, metavar="PNG", help="draw all learning curves into this file")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="write report.md, CSV, JSON and figures into this folder"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of Markdown")
+    parser.add_argument(
+        "--baseline", metavar="GROUP", help='compare all groups with this one, named as in the report: "loss=dqn"'
+    )
+    parser.add_argument("--curves", type=Path, metavar="PNG", help="draw every run's learning curve into this file")
     parser.add_argument(
         "--best-lap", action="store_true", help="search for the best possible lap, and tell how far each run is from it"
     )
@@ -22,20 +54,15 @@ def main(argv: list[str]) -> int:
         metavar="M",
         help="of the search, m; half of it takes four times longer",
     )
-    arguments = parser.parse_args(argv)
-    runs = find_runs(arguments.directories)
-    best_lap = best_lap_of(runs, arguments.bin_size) if arguments.best_lap else None
-    print(markdown_table(runs, best_lap))
-    if best_lap is not None:
-        print(
-            f"\nThe best possible lap: {best_lap.lap_steps} steps, forward {best_lap.forward_share:.1%}, "
-            f"{best_lap.switches_per_100m:.2f} switches / 100 m, {best_lap.reversals} reversals."
-        )
-    if arguments.curves:
-        first_laps = [(run.summary or {}).get("first_lap") for run in runs]
-        curves = {
-            run.label: RunCurve(run.episode_returns, lap["episode"] if lap else None)
-            for run, lap in zip(runs, first_laps, strict=True)
-        }
-        draw_learning_curves(arguments.curves, curves)
-    return 0
+    return parser
+
+
+def _draw_curves(path: Path, findings: Findings) -> None:
+    from carrl.view.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
+
+    first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]
+    curves = {
+        run.label: RunCurve(run.episode_returns, lap["episode"] if lap else None)
+        for run, lap in zip(findings.runs, first_laps, strict=True)
+    }
+    draw_learning_curves(path, curves)

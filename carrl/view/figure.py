@@ -24,7 +24,10 @@ BLUE = "#0072B2"
 VERMILLION = "#D55E00"
 GREEN = "#009E73"
 YELLOW = "#F0E442"
-"""The last five are Okabe and Ito's (2008) colours, which colour-blind readers can tell apart."""
+PURPLE = "#CC79A7"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+"""The last eight are Okabe and Ito's (2008) colours, which colour-blind readers can tell apart."""
 
 
 def new_figure(height: float, constrained: bool = True) -> Figure:

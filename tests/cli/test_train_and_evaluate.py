@@ -13,7 +13,7 @@ import yaml
 
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
-from carrl.run.report import find_runs
+from carrl.run.report.runs import find_runs
 
 TINY = [
     "compile=false",
@@ -155,7 +155,8 @@ def test_several_seeds_leave_a_folder_each_as_if_trained_alone(run, tmp_path, ca
     configs = [yaml.safe_load((path / ".hydra" / "config.yaml").read_text()) for path in (ours, alone)]
     assert configs[0] == configs[1]
     assert main(["report", str(tmp_path)]) == 0
-    assert [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:]] == ["| seed=4", "| seed=5"]
+    table = capsys.readouterr().out.partition("## Runs\n\n")[2]
+    assert [line.split(" | ")[0] for line in table.splitlines()[2:4]] == ["| seed=4", "| seed=5"]
 
 
 def test_runs_are_listed_in_natural_order(tmp_path):
