@@ -17,12 +17,12 @@ from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
 from carrl.record.codec import row_shapes
+from carrl.record.log_file import begin_log
 from carrl.record.mcap_file import McapFile
 from carrl.record.mcap_index import IndexedFile, open_log
 from carrl.record.metadata import ATTACHMENT, describe
 from carrl.record.salvage import TOPICS, Content, Decoded, Pieces, decoded_messages, find_pieces, record_at
 from carrl.record.schema import EPISODES, METRICS, RECOVERY_NAME, SMALL_MESSAGES, TRANSITIONS
-from carrl.record.writer import begin_log
 
 
 @dataclass(frozen=True)

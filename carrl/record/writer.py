@@ -19,10 +19,11 @@ from mcap.records import Message
 from carrl.errors import LogError
 from carrl.record.codec import Batch, Columns, check_row_shapes, encode_small, pieces, row_shapes
 from carrl.record.layout import columns_of
+from carrl.record.log_file import begin_log, part_path
 from carrl.record.mcap_file import McapFile, Position
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import describe
-from carrl.record.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METADATA_NAME, METRICS, TRANSITIONS, schema_bytes
+from carrl.record.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -38,7 +39,6 @@ CHUNK_BYTES = 2**20
 """How many bytes of messages are held back, to be compressed together."""
 MIN_FILE_BYTES = 2**20
 """The least size at which a log may be told to go on in another file."""
-_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".csv": "text/csv", ".txt": "text/plain"}
 
 
 class LogWriter:
@@ -344,31 +344,6 @@ class LogWriter:
             f"log '{self.path}': cannot be written: {getattr(error, 'strerror', None) or error}; "
             "give a file in an existing, writable folder on a disk with free space"
         )
-
-
-def begin_log(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> McapFile:
-    """A file with all that a log has before its first chunk.
-
-    Raises:
-        OSError, ValueError: the file cannot be written.
-    """
-    file = McapFile(path)
-    try:
-        file.add_metadata(METADATA_NAME, metadata)
-        for name, content in attachments.items():
-            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            file.add_attachment(name, media_type, content)
-        for topic, name in MESSAGE_NAMES.items():
-            file.add_channel(topic, name, schema_bytes(topic), {"run": metadata["run"]})
-    except BaseException:
-        file.close()
-        raise
-    return file
-
-
-def part_path(first: Path, part: int) -> Path:
-    """The file in which a log goes on: `train.mcap`, `train-1.mcap`, `train-2.mcap` and so on."""
-    return first.with_stem(f"{first.stem}-{part}") if part else first
 
 
 def _check_range(name: str, value: int | None, least: int) -> None:
