@@ -15,11 +15,11 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Log, read_trace, recover, verify
 from carrl.record.codec import Batch, Columns, encode_small
+from carrl.record.log_file import begin_log
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import describe, with_checksum
 from carrl.record.schema import CHANNELS, COLUMNS, EPISODES, METRICS, TRANSITIONS
 from carrl.record.summary import summarise
-from carrl.record.writer import begin_log
 from carrl.run.provenance import describe_run
 
 _STEPS, _RUN = 6, 0x1234567890ABCDEF

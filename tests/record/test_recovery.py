@@ -21,10 +21,11 @@ from benchmarks.log_faults.sample import read_sample
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Recovery, read_columns, recover, verify
 from carrl.record.codec import Batch, encode_small
+from carrl.record.log_file import begin_log
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import describe
 from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
-from carrl.record.writer import LogWriter, begin_log
+from carrl.record.writer import LogWriter
 
 BATCHES, BATCH = 6, 20
 

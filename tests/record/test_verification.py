@@ -16,10 +16,10 @@ from carrl.errors import DamagedLogError, LogError
 from carrl.log import IntactLog, read_columns, verify
 from carrl.record import verification
 from carrl.record.codec import Batch
+from carrl.record.log_file import begin_log
 from carrl.record.mcap_index import IndexedFile
 from carrl.record.metadata import describe, with_checksum
 from carrl.record.schema import CHANNELS, METADATA_NAME, TRANSITIONS
-from carrl.record.writer import begin_log
 
 
 def record_bytes(record):
