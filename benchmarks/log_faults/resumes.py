@@ -34,10 +34,10 @@ SIGNALS = (signal.SIGTERM, signal.SIGKILL)
 NOTES = (
     "from the one before: the kill came between two renamings, or while the latest checkpoint was written.",
     "begun anew: there was no checkpoint yet; with the same command where there was no configuration either.",
-    f"exit s: from SIGTERM to the end of the process; more than {LONGEST_EXIT_S:g} s is a fault.",
+    f"exit s: from SIGTERM, a second kill's too, to the end of the process; more than {LONGEST_EXIT_S:g} s is a fault.",
     "Each run is compared, bit for bit but for wall time, with the one that nobody killed: the final parameters and",
     "all else in state.pt, best.pt, last.pt, the tables, the log's transitions and episodes, the summary, the names of",
-    "all files.",
+    "all files but Hydra's records of itself.",
 )
 Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
@@ -79,7 +79,8 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
 def _kill_runs(arguments: argparse.Namespace, resumes: list[Resume]) -> None:
     """Adds the kills one by one."""
     preload()
-    importlib.import_module("matplotlib.pyplot")
+    for name in ("carrl.sim.kernels", "matplotlib.pyplot"):
+        importlib.import_module(name)
     interval = f"trainer.checkpoint_interval={arguments.interval}"
     reference = run_to_the_end([f"experiment={arguments.experiment}", interval, *arguments.overrides])
     transitions, states = len(reference.contents.log.rows), reference.places["renaming"] // 2 + 1

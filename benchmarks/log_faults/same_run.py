@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,11 @@ _WALL_TIME = {"wall_time_s", "first_update_s", "start_up_s"}
 _OF_THE_LOG = "log"
 """The part of a state that says how far the log is: its metrics tell of wall time, and so its size and checksum do."""
 
+_OF_HYDRA = {"hydra.yaml", "overrides.yaml"}
+"""What Hydra writes of itself before CarRL begins, and nobody reads; a kill may come before it."""
+_NAMED = 2
+"""How many of the differing values are named."""
+
 
 @dataclass(frozen=True)
 class RunContents:
@@ -31,7 +36,7 @@ class RunContents:
         tables: the rows of each.
         log: what it says.
         summary: all of it.
-        files: names of all that is there.
+        files: names of all that is there but Hydra's own records.
     """
 
     state: dict[str, Any]
@@ -55,7 +60,7 @@ def read_run(run: Path) -> RunContents:
         tables={name: _rows(run / name) for name in (METRICS, EVALUATIONS)},
         log=read_contents(run / LOG),
         summary=_without_wall_time(json.loads((run / SUMMARY).read_text())),
-        files={str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()},
+        files={str(path.relative_to(run)) for path in run.rglob("*") if path.is_file() and path.name not in _OF_HYDRA},
     )
 
 
@@ -66,9 +71,9 @@ def differences(ours: RunContents, theirs: RunContents) -> Iterator[str]:
     changed = sorted(key for key in ours.state.keys() | theirs.state.keys() if _differs(key, ours, theirs))
     parameters = [key for key in changed if key.startswith("learner.")]
     if parameters:
-        yield f"the final parameters are others, in {', '.join(parameters)}"
+        yield f"the final parameters are others, in {_some(parameters)}"
     if changed != parameters:
-        yield f"{STATE} is another one in {', '.join(key for key in changed if key not in parameters)}"
+        yield f"{STATE} is another one in {_some([key for key in changed if key not in parameters])}"
     for name, own, other in (
         *((name, content, theirs.networks[name]) for name, content in ours.networks.items()),
         *((name, rows, theirs.tables[name]) for name, rows in ours.tables.items()),
@@ -82,6 +87,10 @@ def differences(ours: RunContents, theirs: RunContents) -> Iterator[str]:
             yield f"{name}: not those of the run that nobody killed"
     if ours.files != theirs.files:
         yield f"files left over or missing: {', '.join(sorted(ours.files ^ theirs.files))}"
+
+
+def _some(keys: Sequence[str]) -> str:
+    return ", ".join(keys[:_NAMED]) + (f" and {len(keys) - _NAMED} others" if len(keys) > _NAMED else "")
 
 
 def _differs(key: str, ours: RunContents, theirs: RunContents) -> bool:
