@@ -35,6 +35,13 @@ def appearing_whole(path: str | Path, error: type[CarrlError] = CarrlError) -> I
             partial.unlink()
 
 
+def remove_left_overs(*folders: Path) -> None:
+    """Removes what killed processes left of files that they were writing in these folders, which may be missing."""
+    for folder in folders:
+        for partial in folder.glob(PARTIAL):
+            partial.unlink()
+
+
 def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = CarrlError, durably: bool = False) -> None:
     """Writes a file as `appearing_whole` lets it appear; `durably` waits until the disk has it."""
     with appearing_whole(path, error) as partial, partial.open("wb") as file:

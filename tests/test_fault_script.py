@@ -1,4 +1,4 @@
-"""What `scripts/faults` does to logs, and that it finds out a recovery that does not keep its promises."""
+"""What `scripts/faults` does to logs and runs, and that it finds out what does not keep its promises."""
 
 import json
 import random
@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.child import ROOT, BenchError, environment
 from benchmarks.log_faults import check as check_module
-from benchmarks.log_faults import kill, kills, mutations
+from benchmarks.log_faults import kill, kills, mutations, resumes
 from benchmarks.log_faults.check import check
 from benchmarks.log_faults.contents import LogContents, places_in, rows_of
 from benchmarks.log_faults.damage import DAMAGES, damage
@@ -258,6 +258,7 @@ def test_a_run_that_fails_is_one_sentence(monkeypatch, capsys):
     [
         (kills.main, ["--kills", "0"], "0 is not above 0"),
         (kills.main, ["--fly"], "unrecognized arguments: --fly"),
+        (resumes.main, ["--interval", "0"], "0 is not above 0"),
         (mutations.main, ["--mutations", "many"], "invalid whole number value: 'many'"),
         (mutations.main, ["--json", "nowhere/figures.json"], "'nowhere/figures.json' cannot be written"),
     ],

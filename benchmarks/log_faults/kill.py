@@ -180,7 +180,7 @@ def _compare(found: LogContents, expected: LogContents, notes: Sequence[Note], k
     if found.rows:
         if found.attachments != expected.attachments:
             kill.faults.append("an attachment is lost, though it was written before the first transition")
-        if _common_entries(found) != _common_entries(expected):
+        if common_entries(found) != common_entries(expected):
             kill.faults.append("the metadata are others")
 
 
@@ -194,5 +194,6 @@ def _loss(kind: str, recovered: int, notes: Sequence[Note], killed_s: float) -> 
     return counts[-1] - recovered, max(0.0, killed_s - times[0])
 
 
-def _common_entries(contents: LogContents) -> dict[str, str]:
+def common_entries(contents: LogContents) -> dict[str, str]:
+    """The metadata that every run with the same seed has."""
     return {key: value for key, value in contents.metadata.items() if key not in _OWN_ENTRIES}

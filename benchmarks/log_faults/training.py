@@ -11,7 +11,7 @@ import pickle
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,10 +60,14 @@ class TrainingRun:
     """A run of `carrl train`; it begins at once.
 
     Args:
-        folder: an empty one, for this run alone.
+        folder: an empty one, for this run alone, or that of a run that is resumed.
         overrides: of Hydra.
         tear: where it kills itself.
         constants: values to give to CarRL's constants, by their full names, in this run.
+        patches: asked in the run for what else to put in the place of CarRL's functions.
+
+    Attributes:
+        path: the run's own folder.
     """
 
     def __init__(
@@ -72,12 +76,14 @@ class TrainingRun:
         overrides: Sequence[str],
         tear: Tear | None = None,
         constants: Mapping[str, Any] | None = None,
+        patches: Callable[[], Iterable[Any]] = tuple,
     ) -> None:
         self._folder = folder
-        self.log = folder / _RUN / "train.mcap"
+        self.path = run_path(folder)
+        self.log = self.path / "train.mcap"
         self.started_s = time.monotonic()
         self._process = multiprocessing.get_context("fork").Process(
-            target=_train, args=(folder, [*overrides, f"hydra.run.dir={folder / _RUN}"], tear, constants or {})
+            target=_train, args=(folder, [*overrides, f"hydra.run.dir={self.path}"], tear, constants or {}, patches)
         )
         self._process.daemon = True
         self._process.start()
@@ -89,6 +95,16 @@ class TrainingRun:
         self._process.kill()
         self._process.join()
         return killed_s
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the process is gone."""
+        return self._process.exitcode is not None
+
+    def send(self, number: int) -> None:
+        """Sends a signal to the run, unless it has ended."""
+        if self._process.pid is not None and not self.has_ended:
+            os.kill(self._process.pid, number)
 
     def wait(self) -> int:
         """Waits until the run has ended, and returns its exit code, below 0 for a signal.
@@ -116,6 +132,11 @@ class TrainingRun:
             return list(_unpickled(file))
 
 
+def run_path(folder: Path) -> Path:
+    """Where the run in this folder of a `TrainingRun` has its own."""
+    return folder / _RUN
+
+
 def preload() -> None:
     """Imports here what every run needs, so that runs need not."""
     for name in ("carrl.cli.main", "carrl.cli.train", "carrl.run.trainer"):
@@ -128,7 +149,13 @@ def _unpickled(file: Any) -> Iterator[Note]:
             yield pickle.load(file)
 
 
-def _train(folder: Path, overrides: list[str], tear: Tear | None, constants: Mapping[str, Any]) -> None:
+def _train(
+    folder: Path,
+    overrides: list[str],
+    tear: Tear | None,
+    constants: Mapping[str, Any],
+    patches: Callable[[], Iterable[Any]],
+) -> None:
     from carrl.cli.main import main
 
     with ExitStack() as stack:
@@ -138,7 +165,7 @@ def _train(folder: Path, overrides: list[str], tear: Tear | None, constants: Map
         for name, value in constants.items():
             stack.enter_context(patch(name, value))
         watch = _Watch(stack.enter_context((folder / _NOTES).open("ab", buffering=0)), tear)
-        for patched in watch.patches():
+        for patched in (*watch.patches(), *patches()):
             stack.enter_context(patched)
         code = main(["train", *overrides])
     sys.exit(code)

@@ -23,9 +23,7 @@ def stopping_on_signals(trainer: Training) -> Iterator[None]:
                 sys.stderr.write(f"{_SHOW_CURSOR}\n")
                 sys.stderr.flush()
             os._exit(INTERRUPTED)
-        trainer.stop()
-        if trainer.is_compiling:  # which takes longer than anyone waits, and nothing is lost
-            raise KeyboardInterrupt
+        trainer.interrupt()
 
     previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDictBase
 
 from carrl.errors import CheckpointError
-from carrl.files import PARTIAL, read_whole, write_whole
+from carrl.files import read_whole, remove_left_overs, write_whole
 from carrl.plain_yaml import parse_yaml
 from carrl.record.messages import Episode, Metrics
 from carrl.record.writer import LogWriter
@@ -64,8 +64,7 @@ class RunFolder:
         self.path = path
         self._recorder = recorder
         self._settings = read_settings(path)
-        for left_over in (*path.glob(PARTIAL), *path.glob(f"checkpoints/{PARTIAL}")):
-            left_over.unlink()
+        remove_left_overs(path, path / "checkpoints", (path / CONFIG).parent)
         self._metrics = Table(path / METRICS, state["metrics"] if state else 0)
         self._evaluations = Table(path / EVALUATIONS, state["evaluations"] if state else 0)
 

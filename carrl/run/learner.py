@@ -63,7 +63,7 @@ class Learner:
         self._native: _NativeUpdate | None = None
         self.updates = 0
         self.first_update_at: float | None = None
-        self.is_compiling = False
+        self._is_compiling = self._is_interrupted = False
         self.losses = torch.full([len(agents)], math.nan)
         self.divergences: dict[int, Divergence] = {}
 
@@ -113,6 +113,16 @@ class Learner:
                 agent.target_updater.step(count)
             frames -= count
 
+    def interrupt(self) -> None:
+        """Ends a compilation that is going on, from a signal's handler; without one it does nothing.
+
+        Raises:
+            KeyboardInterrupt: there is one; `learn` raises it, too.
+        """
+        if self._is_compiling:
+            self._is_interrupted = True
+            raise KeyboardInterrupt
+
     @property
     def _batch_size(self) -> int:
         return self._buffer.batch_size
@@ -155,14 +165,17 @@ class Learner:
         return torch.stack(losses)
 
     def _try_to_compile(self) -> None:
-        self.is_compiling = True
+        self._is_compiling = True
         try:
             self._native = _NativeUpdate(self._agents, self._buffer)
         except CompilationError as error:
-            _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
+            if not self._is_interrupted:
+                _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
             self._compiles = False
         finally:
-            self.is_compiling = False
+            self._is_compiling = False
+        if self._is_interrupted:  # torchrl 0.14 makes an error of its own of a KeyboardInterrupt that is raised in it
+            raise KeyboardInterrupt
 
 
 class _NativeUpdate:

@@ -68,7 +68,7 @@ def _check_is_whole_run(run: Path) -> None:
         raise CheckpointError(
             f"run '{run}' is one of several agents that train side by side; resume them together: resume={run.parent}"
         )
-    if (run / SUMMARY).exists() or (run / "checkpoints").exists():
+    if (run / SUMMARY).exists() or any(run.glob("checkpoints/*.pt")):  # the folder alone: killed in the first state
         raise CheckpointError(f"run '{run}' was trained by a version of CarRL that kept no {STATE}; train anew")
 
 

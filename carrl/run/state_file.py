@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from carrl.errors import CheckpointError
+from carrl.files import remove_left_overs
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
+from carrl.run.folder import CONFIG
 from carrl.run.settings import put_back, read_settings
 
 STATE = Path("checkpoints/state.pt")
@@ -33,6 +35,7 @@ class StateFile:
         self._interval = interval
         self._settings = read_settings(run)
         self._saved_at = time.monotonic()
+        remove_left_overs((run / STATE).parent, (run / CONFIG).parent)
 
     @property
     def is_due(self) -> bool:

@@ -58,14 +58,18 @@ class Training:
         """Whether all runs end after the present round."""
         return self._stopping
 
-    @property
-    def is_compiling(self) -> bool:
-        """Whether updates are being compiled, before which nothing was learnt that a resumed run would not learn."""
-        return self._learning.learner.is_compiling
-
     def stop(self) -> None:
         """Ends all runs after the present round, with everything saved."""
         self._stopping = True
+
+    def interrupt(self) -> None:
+        """The same from a signal's handler, which does not wait for a compilation that is going on.
+
+        Raises:
+            KeyboardInterrupt: one is; what is saved is from before it, and nothing was learnt since.
+        """
+        self.stop()
+        self._learning.learner.interrupt()
 
     def state_dict(self) -> dict[str, Any]:
         """All that moves, as tensors and plain values; the logs are on the disk up to here.

@@ -11,7 +11,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from carrl.data.replay_buffer import KEYS
 from carrl.run.build import build_pipeline
 from carrl.run.learner import Learner
-from carrl.run.native import _fingerprint, cache_dir
+from carrl.run.native import CompilationError, _fingerprint, cache_dir
 from tests.configs import compose
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
@@ -86,6 +86,29 @@ def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, 
     assert torch.equal(losses, updated(make_pipeline(), count=5))
     (message,) = messages(caplog)
     assert "cannot be compiled: no C++ compiler is installed" in message
+
+
+@pytest.mark.parametrize("becomes", ["itself", "an error", "nothing"])
+def test_an_interrupted_compilation_is_not_replaced_by_eager_updates(becomes, monkeypatch, caplog):
+    """Whatever torch and torchrl make of the KeyboardInterrupt that a signal's handler raises in them."""
+    learner = make_pipeline("compile=true").learner
+
+    def compile_interrupted(*_):
+        try:
+            learner.interrupt()
+        except KeyboardInterrupt:
+            if becomes == "itself":
+                raise
+            if becomes == "an error":
+                raise CompilationError("RuntimeError: a tensordict has no truth value") from None
+        return list
+
+    monkeypatch.setattr("carrl.run.learner.compile_native", compile_interrupted)
+    learner.interrupt()  # there is no compilation yet
+    with pytest.raises(KeyboardInterrupt):
+        learner.learn(8)
+    assert learner.updates == 0
+    assert messages(caplog) == []
 
 
 @pytest.mark.parametrize(

@@ -231,8 +231,9 @@ def test_a_log_that_is_not_as_it_was_is_left_alone(tmp_path, monkeypatch, caplog
 
 
 def test_a_killed_writers_left_overs_are_removed(tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 100, *EAGER)
-    (run / "checkpoints" / ".0123.partial").write_bytes(b"half a checkpoint")
+    run = interrupted(monkeypatch, tmp_path / "run", 100, *EAGER, "trainer.frames=200", "trainer.seeds=[3]")
+    for place in ("checkpoints", ".hydra", "seed=3", "seed=3/checkpoints", "seed=3/.hydra"):
+        (run / place / ".0123.partial").write_bytes(b"half a file")
     assert main(["train", f"resume={run}"]) == 0
     assert list(run.rglob("*.partial")) == []
 
@@ -305,9 +306,21 @@ def test_a_run_broken_off_before_its_first_checkpoint_begins_anew(never_stopped,
     assert_same_run(run, never_stopped)
 
 
-def test_a_run_of_a_version_without_states_is_refused(stopped, capsys):
+def test_a_run_killed_while_its_first_checkpoint_was_written_begins_anew(never_stopped, tmp_path, monkeypatch):
+    run = interrupted(monkeypatch, tmp_path / "run", 0, *EAGER)
+    (run / "summary.json").unlink()
+    for checkpoint in (run / "checkpoints").iterdir():
+        checkpoint.unlink()
+    (run / "checkpoints" / ".0123.partial").write_bytes(b"half a checkpoint")
+    assert main(["train", f"resume={run}"]) == 0
+    assert_same_run(run, never_stopped)
+
+
+@pytest.mark.parametrize("left", ["summary.json", "checkpoints/best.pt"])
+def test_a_run_of_a_version_without_states_is_refused(left, stopped, capsys):
     shutil.rmtree(stopped / "checkpoints")
-    (stopped / "summary.json").write_text("{}")
+    (stopped / "checkpoints").mkdir()
+    (stopped / left).write_text("{}")
     assert main(["train", f"resume={stopped}"]) == 2
     assert "kept no checkpoints/state.pt; train anew" in capsys.readouterr().err
 

@@ -1,0 +1,1 @@
+"""Watches the memory and the open files of one long training run."""
