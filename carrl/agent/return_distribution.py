@@ -22,6 +22,8 @@ class ReturnDistribution(nn.Module):
         support: the returns, evenly spaced and rising, [K].
     """
 
+    support: Tensor
+
     def __init__(self, layers: nn.Module, support: Tensor) -> None:
         super().__init__()
         self.layers = layers

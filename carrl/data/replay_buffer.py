@@ -62,7 +62,7 @@ def make_prioritized_replay_buffer(
 
 def keys_of(buffer: TensorDictReplayBuffer) -> list[Any]:
     """What a buffer that is not empty keeps of a transition."""
-    return [*KEYS, STEPS] if STEPS in buffer.storage._storage.keys() else [*KEYS]
+    return [*KEYS, STEPS] if STEPS in buffer.storage._storage else [*KEYS]
 
 
 def _check_sizes(capacity: int, batch_size: int) -> None:

@@ -17,9 +17,9 @@ STEPS = "steps_to_next_obs"
 class NStepReturns:
     """Makes n-step transitions out of single steps, n - 1 time steps later.
 
-    A transition's reward becomes r_0 + gamma r_1 + ... + gamma^(n - 1) r_(n-1), and what comes after it, "next", is that
-    of the last of these steps. Where the episode ends earlier, terminated or truncated, so does the sum. The loss then
-    discounts what follows by gamma^k for the k steps in `steps_to_next_obs` [..., 1].
+    A transition's reward becomes r_0 + gamma r_1 + ... + gamma^(n - 1) r_(n-1), and what comes after it, "next", is
+    that of the last of these steps. Where the episode ends earlier, terminated or truncated, so does the sum. The
+    loss then discounts what follows by gamma^k for the k steps in `steps_to_next_obs` [..., 1].
 
     TorchRL 0.14's `MultiStep` sums alike (a test compares them), but drops what a batch cannot complete, and leaves
     `terminated` to the first step, so that the loss would bootstrap from the end of an episode.
@@ -42,7 +42,7 @@ class NStepReturns:
         self._pending: TensorDictBase | None = None
 
     def __call__(self, transitions: TensorDictBase) -> TensorDictBase:
-        """The transitions that the next time steps [T, N, A] complete, in the order of time: as many in the long run."""
+        """The transitions that the next time steps [T, N, A] complete, in the order of time."""
         known = transitions if self._pending is None else torch.cat([self._pending, transitions])
         complete = max(0, len(known) - self._steps + 1)
         self._pending = known[complete:].clone()

@@ -72,8 +72,8 @@ class PrioritizedAgentSampler(AgentSampler):
     A transition that was never learnt from has the greatest priority so far. Weights make up for the sampling, by the
     exponent beta, with 1 in full; only their ratios count.
 
-    TorchRL 0.14.1's `PrioritizedSampler` needs its C++ extension, which is built for another torch than 2.13 and does not
-    load. A running sum over the memory takes 0.2 ms at 131,072 transitions, less than one eager update.
+    TorchRL 0.14.1's `PrioritizedSampler` needs its C++ extension, which is built for another torch than 2.13 and does
+    not load. A running sum over the memory takes 0.2 ms at 131,072 transitions, less than one eager update.
 
     Source: Schaul et al. 2016, "Prioritized Experience Replay", sections 3.3 and 3.4.
 

@@ -56,7 +56,7 @@ class Transition(NamedTuple):
 
     Attributes:
         situation: after the step.
-        reward_terms: see `carrl.env.reward`, [N, 4], float32; the reward is their sum.
+        reward_terms: see `carrl.env.reward`, [N, 4], with shaping [N, 5], float32; the reward is their sum.
         terminated: the car touched a wall, [N], bool.
         truncated: the episode reached its last step without that, [N], bool.
     """
@@ -167,6 +167,9 @@ class Task:
         outcome = self.simulator.step(situation.state, action)
         truth = outcome.ranges / self.simulator.sensor.max_range
         terms = self.reward.terms(truth, outcome.collided, outcome.gates_passed, action, situation.last_action)
+        if self.reward.approach:
+            distances = (self.simulator.gate_distance(state) for state in (situation.state, outcome.state))
+            terms = torch.cat([terms, self.reward.shaping(*distances, outcome.collided)[:, None]], dim=-1)
         readings = read(self.simulator.sensor, outcome.ranges, self.streams)
         step = situation.step + 1
         truncated = (step >= self.max_steps) & ~outcome.collided

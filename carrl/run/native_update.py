@@ -29,8 +29,8 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 class NativeUpdate:
     """An update of all agents as one native function, on the tensors that are there when it is made.
 
-    It follows the agents' losses, clipping, Adam and soft target updates; the numbers that change from one update to the
-    next, a learning rate that falls and the noise of weights, are among its inputs.
+    It follows the agents' losses, clipping, Adam and soft target updates; what changes from one update to the next, a
+    learning rate that falls and the noise of weights, is among its inputs.
 
     Args:
         agents: whose optimizers have made a step.
