@@ -33,8 +33,8 @@ class DistributionalLoss(DQNLoss):
     """Categorical distributional Q-learning, with the keys, parameters and discount of TorchRL's `DQNLoss`.
 
     The numbers are those of TorchRL 0.14's `DistributionalDQNLoss` (a test compares them). That one cannot be traced,
-    as it takes numbers out of tensors, always lets the trained network pick the next action, and notes the cross entropy
-    as `td_error`, where this one notes the squared error of the expected return, as every loss here does.
+    as it takes numbers out of tensors, always lets the trained network pick the next action, and notes the cross
+    entropy as `td_error`, where this one notes the squared error of the expected return, as every loss here does.
 
     Source: Bellemare et al. 2017, "A Distributional Perspective on Reinforcement Learning", Algorithm 1.
     """

@@ -82,9 +82,9 @@ class Reward:
     def shaping(self, distance_before: Tensor, distance_after: Tensor, terminated: Tensor) -> Tensor:
         """What a step earns by coming closer to the next gate, [B], float32.
 
-        The potential of a situation is -approach * distance, that of the end of an episode 0, and a step earns discount *
-        potential after it - potential before it. Whatever the potentials are, the best policy stays the best: all that
-        they give is taken back, at the latest when the gate is passed and the next one is far away.
+        The potential of a situation is -approach * distance, that of the end of an episode 0, and a step earns
+        discount * potential after it - potential before it. Whatever the potentials are, the best policy stays the
+        best: all that they give is taken back, at the latest when the gate is passed and the next one is far away.
 
         Source: Ng, Harada and Russell 1999, "Policy Invariance Under Reward Transformations", theorem 1.
 

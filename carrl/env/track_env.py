@@ -28,7 +28,7 @@ class TrackEnv(EnvBase):
     | `observation` | [N, R] float32 | distance along each ray / range, 0..1, right to left; see `observe_action` |
     | `action` | [N] int64 | 0 forward, 1 left, 2 right |
     | `reward` | [N, 1] float32 | sum of `reward_terms` |
-    | `reward_terms` | [N, 4] float32 | collision, proximity, gate, steering, and with shaping that; zero after a reset |
+    | `reward_terms` | [N, 4] float32 | collision, proximity, gate, steering, shaping if any; zero after a reset |
     | `terminated` | [N, 1] bool | the car touched a wall |
     | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |

@@ -172,16 +172,16 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
 def _build_agent(config: Config, seed: int, device: torch.device) -> Agent:
     network = build_network(config, _generator(seed, "network")).to(device)
     loss = build_node("loss", config["loss"], network=network)
-    noise = WeightNoise(network, loss, _generator(seed, "noise")) if is_noisy(network) else None
+    target_updater = build_node("target_updater", config["target_updater"], loss=loss)
     return Agent(
         seed=seed,
         network=network,
         loss=loss,
         optimizer=build_node("optimizer", config["optimizer"], params=list(loss.parameters())),
-        target_updater=build_node("target_updater", config["target_updater"], loss=loss),
+        target_updater=target_updater,
         clipping=_build_optional(config, "gradient_clipping"),
         learning_rate=_build_optional(config, "learning_rate"),
-        noise=noise,
+        noise=WeightNoise(network, loss, _generator(seed, "noise")) if is_noisy(network) else None,
     )
 
 

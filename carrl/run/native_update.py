@@ -120,20 +120,27 @@ class NativeUpdate:
         batch: list[Tensor],
     ) -> tuple[list[Tensor], Tensor, Tensor]:
         """One agent's gradient, loss and squared TD errors, as TorchRL defines them."""
-        names = [*self._memory_keys, *(["priority_weight"] if self._weighted else [])]
-
-        def loss_of(values: list[Tensor]) -> tuple[Tensor, Tensor]:
-            transitions = TensorDict({}, batch_size=batch[0].shape[:1])
-            for name, field in zip(names, batch, strict=True):
-                transitions[name] = field
-            keys = [*self._keys, *self._fixed_keys]
-            with _parameters_of(self._agent.loss, keys, [*values, *fixed], [*targets, *fixed_targets]):
-                loss = self._agent.loss(transitions)["loss"]
-            return loss, transitions["td_error"][:, 0].detach()
-
-        gradient, (loss, td_errors) = grad_and_value(loss_of, has_aux=True)(values)
+        differentiate = grad_and_value(self._loss, has_aux=True)
+        gradient, (loss, td_errors) = differentiate(values, targets, fixed, fixed_targets, batch)
         clipping = self._agent.clipping
         return (gradient if clipping is None else clipping.clipped(gradient)), loss, td_errors
+
+    def _loss(
+        self,
+        values: list[Tensor],
+        targets: list[Tensor],
+        fixed: list[Tensor],
+        fixed_targets: list[Tensor],
+        batch: list[Tensor],
+    ) -> tuple[Tensor, Tensor]:
+        names = [*self._memory_keys, *(["priority_weight"] if self._weighted else [])]
+        transitions = TensorDict({}, batch_size=batch[0].shape[:1])
+        for name, field in zip(names, batch, strict=True):
+            transitions[name] = field
+        keys = [*self._keys, *self._fixed_keys]
+        with _parameters_of(self._agent.loss, keys, [*values, *fixed], [*targets, *fixed_targets]):
+            loss = self._agent.loss(transitions)["loss"]
+        return loss, transitions["td_error"][:, 0].detach()
 
 
 @contextmanager

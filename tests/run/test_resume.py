@@ -144,6 +144,12 @@ def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bi
         ["sensor.noise=0.2", "env.mirrored=true", "env.observe_action=true"],
         ["collector.steps_per_batch=3"],
         ["recorder.max_file_bytes=1048576", "recorder.every_nth_episode=2"],
+        ["returns=n_step", "collector.steps_per_batch=3"],
+        ["replay_buffer=prioritized", "replay_buffer.capacity=512", "replay_buffer.batch_size=64"],
+        ["network=noisy", "exploration=constant", "exploration.epsilon=0", "trainer.seeds=[3,7]"],
+        ["loss=distributional", "target_updater=soft", "~target_updater.period"],
+        ["learning_rate=cosine", "learning_rate.updates=500", "gradient_clipping=norm", "exploration=linear"],
+        ["loss=dueling", "reward=shaped"],
     ],
     ids=" ".join,
 )
