@@ -48,7 +48,7 @@ class EpsilonGreedy(EGreedyModule):
                 f"exploration.epsilon_min is {epsilon_min} and epsilon_max is {epsilon_max}; "
                 "they must satisfy 0 <= epsilon_min <= epsilon_max <= 1"
             )
-        super().__init__(spec=action_spec, eps_init=epsilon_max, eps_end=epsilon_min)
+        super().__init__(spec=action_spec, eps_init=float(epsilon_max), eps_end=float(epsilon_min))
         self.epsilon_max, self.epsilon_min = epsilon_max, epsilon_min
         self._action_count = action_spec.n
         self._generators = list(generators)

@@ -164,11 +164,11 @@ class Learner:
     def _update_eagerly(self, minibatch: Minibatch) -> tuple[Tensor, Tensor | None]:
         """The losses before the update, [A], and if there are weights, the squared TD errors, [batch_size, A]."""
         batch = self._buffer.storage.get((minibatch.items, minibatch.agents))
-        if minibatch.weights is not None:
-            batch["priority_weight"] = minibatch.weights
         losses, td_errors = [], []
         for index, agent in enumerate(self._agents):
             transitions = batch[:, index]
+            if minibatch.weights is not None:
+                transitions["priority_weight"] = minibatch.weights[:, index].contiguous()  # sums like one agent's alone
             loss = agent.loss(transitions)["loss"]
             agent.optimizer.zero_grad()
             loss.backward()
