@@ -168,14 +168,14 @@ class Task:
         truth = outcome.ranges / self.simulator.sensor.max_range
         terms = self.reward.terms(truth, outcome.collided, outcome.gates_passed, action, situation.last_action)
         if self.reward.approach:
-            distances = (self.simulator.gate_distance(state) for state in (situation.state, outcome.state))
-            terms = torch.cat([terms, self.reward.shaping(*distances, outcome.collided)[:, None]], dim=-1)
+            before, after = (self.simulator.gate_distance(state) for state in (situation.state, outcome.state))
+            terms = torch.cat([terms, self.reward.shaping(before, after, outcome.collided)[:, None]], dim=-1)
         readings = read(self.simulator.sensor, outcome.ranges, self.streams)
         step = situation.step + 1
         truncated = (step >= self.max_steps) & ~outcome.collided
         observation = observe(readings, action, self.observe_action)
-        after = Situation(outcome.state, step, action, observation)
-        return Transition(after, terms, outcome.collided, truncated)
+        now = Situation(outcome.state, step, action, observation)
+        return Transition(now, terms, outcome.collided, truncated)
 
     def _draw_tracks(self, wanted: Tensor) -> Tensor:
         """Which track each car drives on, [N]."""
