@@ -47,20 +47,29 @@ def _register_after(module: str, register: Callable[[], None]) -> None:
 
 
 class _Finder(MetaPathFinder):
-    """Finds a module as Python would, once, and lets registration follow its import."""
+    """Finds a module as Python would, and lets registration follow its import, but not a mere search for it."""
 
     def __init__(self, module: str, register: Callable[[], None]) -> None:
         self._module, self._register = module, register
+        self._is_searching = False
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Finds this one module, and only the first time."""
-        if name != self._module:
+        """Finds this one module, until it is imported."""
+        if name != self._module or self._is_searching:
             return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(name)
+        self._is_searching = True
+        try:
+            spec = importlib.util.find_spec(name)
+        finally:
+            self._is_searching = False
         if spec is not None and spec.loader is not None:
-            spec.loader = _RegisteringLoader(spec.loader, self._register)
+            spec.loader = _RegisteringLoader(spec.loader, self._import)
         return spec
+
+    def _import(self) -> None:
+        if self in sys.meta_path:
+            sys.meta_path.remove(self)
+        self._register()
 
 
 class _RegisteringLoader(Loader):

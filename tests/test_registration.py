@@ -9,7 +9,13 @@ MAKE = "print(gymnasium.make('carrl/Track-v0').spec.id, gymnasium.make_vec('carr
 
 
 @pytest.mark.parametrize(
-    "imports", ["import carrl, gymnasium", "import gymnasium, carrl", "import carrl, carrl.log, gymnasium.envs"]
+    "imports",
+    [
+        "import carrl, gymnasium",
+        "import gymnasium, carrl",
+        "import carrl, carrl.log, gymnasium.envs",
+        "import carrl, importlib.util; importlib.util.find_spec('gymnasium')",  # as TorchRL does
+    ],
 )
 def test_gymnasium_makes_the_environments(imports):
     finished = subprocess.run(

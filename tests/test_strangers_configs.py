@@ -44,13 +44,15 @@ def test_the_targets_allowed_are_those_that_the_yaml_files_name():
     assert named == {group: set(targets) for group, targets in TARGETS.items()}
 
 
-@pytest.mark.parametrize("verb", [["evaluate"], ["report", "--best-lap"]])
-def test_a_config_that_is_a_program_is_refused(tmp_path, marker, capsys, verb):
+@pytest.mark.parametrize(
+    ("verb", "message"), [(["evaluate"], "not YAML"), (["report", "--best-lap"], "no run has a configuration")]
+)
+def test_a_config_that_is_a_program_is_refused(tmp_path, marker, capsys, verb, message):
     run = make_run(tmp_path / "run")
     tags = ["!!python/object/apply:os.system ['touch {}']", "!!python/object/new:os.system ['touch {}']"]
     for tag in tags:
         (run / CONFIG).write_text(f"seed: {tag.format(marker)}\n")
-        assert "not YAML" in refused(capsys, *verb, run)
+        assert message in refused(capsys, *verb, run)
 
 
 LEVELS = "\n".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12))

@@ -9,8 +9,10 @@ from typing import Any, Literal
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.modules import QValueActor
+from torchrl.modules.models import DuelingMlpDQNet
 from torchrl.objectives import DQNLoss
 
+from carrl.agent.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
 
 
@@ -30,11 +32,29 @@ def make_dqn_loss(
     "Deep Reinforcement Learning with Double Q-learning".
 
     Raises:
-        ConfigError: gamma lies outside 0..1.
+        ConfigError: gamma lies outside 0..1, or the network predicts a distribution.
     """
+    _check_values_are_points(network)
     loss = DQNLoss(network, **_options(loss_function, double_dqn))
-    _set_discount(loss, gamma)
+    set_discount(loss, gamma)
     return loss
+
+
+def make_dueling_loss(
+    gamma: float,
+    loss_function: Literal["l2", "smooth_l1"],
+    double_dqn: bool,
+    *,
+    network: QValueActor,
+) -> DQNLoss:
+    """The loss of `make_dqn_loss` for a dueling network, and for no other.
+
+    Raises:
+        ConfigError: gamma lies outside 0..1, or the network is another one.
+    """
+    if not isinstance(network.module[0].module, DuelingMlpDQNet):
+        raise ConfigError("loss is dueling, and the network is not; set network=dueling, or another loss")
+    return make_dqn_loss(gamma, loss_function, double_dqn, network=network)
 
 
 def make_cql_loss(
@@ -51,12 +71,13 @@ def make_cql_loss(
     halved, so that the paper's alpha is half of this one.
 
     Raises:
-        ConfigError: gamma lies outside 0..1, or alpha is negative.
+        ConfigError: gamma lies outside 0..1, alpha is negative, or the network predicts a distribution.
     """
     if not 0 <= alpha < math.inf:
         raise ConfigError(f"loss.alpha is {alpha}; it must be a number of at least 0")
+    _check_values_are_points(network)
     loss = ConservativeDQNLoss(network, alpha=alpha, **_options(loss_function, double_dqn))
-    _set_discount(loss, gamma)
+    set_discount(loss, gamma)
     return loss
 
 
@@ -100,7 +121,15 @@ def _options(loss_function: str, double_dqn: bool) -> dict[str, Any]:
     }
 
 
-def _set_discount(loss: DQNLoss, gamma: float) -> None:
+def _check_values_are_points(network: QValueActor) -> None:
+    if predicts_distribution(network):
+        raise ConfigError(
+            "network is distributional, which loss=distributional alone can train; set it, or another network"
+        )
+
+
+def set_discount(loss: DQNLoss, gamma: float) -> None:
+    """Raises ConfigError if the discount lies outside 0..1."""
     if not 0 <= gamma <= 1:
         raise ConfigError(f"loss.gamma is {gamma}; it must lie in 0..1")
     loss.make_value_estimator(gamma=gamma)  # DQNLoss(gamma=...) raises since torchrl 0.3

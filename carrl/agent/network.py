@@ -1,14 +1,16 @@
-"""The action-value network.
+"""The action-value networks.
 
 Shapes: `N` cars or transitions, `R` rays.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
 from torch import nn
-from torchrl.modules import MLP, QValueActor
+from torchrl.modules import MLP, NoisyLinear, QValueActor
+from torchrl.modules.models import DuelingMlpDQNet
 
 from carrl.errors import ConfigError, shown
 
@@ -31,23 +33,107 @@ def make_q_network(
     Raises:
         ConfigError: a hidden layer without units, or too many layers or weights.
     """
-    if any(size < 1 for size in hidden_sizes):
-        raise ConfigError(f"network.hidden_sizes is {shown(list(hidden_sizes))}; every layer needs at least 1 unit")
-    sizes = [observation_size, *hidden_sizes, action_count]
-    weights = sum(before * after for before, after in pairwise(sizes))
-    if len(hidden_sizes) > MOST_LAYERS or weights > MOST_WEIGHTS:
-        raise ConfigError(
-            f"network.hidden_sizes has {len(hidden_sizes)} layers with {weights} weights; "
-            f"it may have at most {MOST_LAYERS} layers and {MOST_WEIGHTS} weights"
-        )
+    check_hidden_sizes(hidden_sizes, observation_size, action_count)
     mlp = MLP(
         in_features=observation_size,
         out_features=action_count,
         num_cells=list(hidden_sizes),
         activation_class=nn.ReLU,
     )
+    initialise(mlp, generator)
+    return QValueActor(mlp, in_keys=["observation"], action_space="categorical")
+
+
+def make_dueling_network(
+    hidden_sizes: Sequence[int], *, observation_size: int, action_count: int, generator: torch.Generator
+) -> QValueActor:
+    """A network that values the situation and, beside it, how much better each action is than their mean.
+
+    Both streams have a hidden layer of their own, of the last of the sizes, and share all layers before. What it reads
+    and writes, and how it is initialised, is as in `make_q_network`.
+
+    Source: Wang et al. 2016, "Dueling Network Architectures for Deep Reinforcement Learning", eq. 9.
+
+    Raises:
+        ConfigError: a hidden layer without units, or fewer than two hidden layers.
+    """
+    check_hidden_sizes(hidden_sizes, observation_size, action_count)
+    if len(hidden_sizes) < 2:
+        raise ConfigError(
+            f"network.hidden_sizes is {list(hidden_sizes)}; a dueling network has at least 2: the last one is that of "
+            "its two streams, and the others they share"
+        )
+    *shared, joint, stream = hidden_sizes
+    layers = DuelingMlpDQNet(
+        action_count,
+        mlp_kwargs_feature={
+            "in_features": observation_size,
+            "out_features": joint,
+            "num_cells": shared,
+            "depth": len(shared),
+            "activation_class": nn.ReLU,
+        },
+        mlp_kwargs_output={"in_features": joint, "num_cells": [stream], "activation_class": nn.ReLU},
+    )
+    initialise(layers, generator)
+    return QValueActor(layers, in_keys=["observation"], action_space="categorical")
+
+
+def make_noisy_network(
+    hidden_sizes: Sequence[int],
+    initial_noise: float,
+    *,
+    observation_size: int,
+    action_count: int,
+    generator: torch.Generator,
+) -> QValueActor:
+    """A ReLU network whose weights are disturbed by noise of a strength that is learnt, while it explores and learns.
+
+    What it reads and writes is as in `make_q_network`; the noise is drawn by `carrl.agent.weight_noise`. Greedy drives
+    have none.
+
+    Source: Fortunato et al. 2018, "Noisy Networks for Exploration", section 3.2 with factorised noise.
+
+    Raises:
+        ConfigError: a hidden layer without units, or noise of a strength that is none.
+    """
+    check_hidden_sizes(hidden_sizes, observation_size, action_count)
+    if not 0 <= initial_noise < math.inf:
+        raise ConfigError(f"network.initial_noise is {initial_noise}; it must be a number of at least 0")
+    mlp = MLP(
+        in_features=observation_size,
+        out_features=action_count,
+        num_cells=list(hidden_sizes),
+        activation_class=nn.ReLU,
+        layer_class=NoisyLinear,
+        layer_kwargs={"std_init": initial_noise},
+    )
     for layer in mlp:
+        if isinstance(layer, NoisyLinear):
+            bound = 1 / math.sqrt(layer.in_features)
+            layer.weight_mu.data.uniform_(-bound, bound, generator=generator)
+            layer.bias_mu.data.uniform_(-bound, bound, generator=generator)
+            layer.weight_epsilon.zero_()  # TorchRL drew them from torch's own generator
+            layer.bias_epsilon.zero_()
+    return QValueActor(mlp, in_keys=["observation"], action_space="categorical")
+
+
+def check_hidden_sizes(hidden_sizes: Sequence[int], observation_size: int, outputs: int) -> None:
+    """Raises ConfigError for a hidden layer without units, and for too many layers or weights."""
+    if any(size < 1 for size in hidden_sizes):
+        raise ConfigError(f"network.hidden_sizes is {shown(list(hidden_sizes))}; every layer needs at least 1 unit")
+    sizes = [observation_size, *hidden_sizes, outputs]
+    weights = sum(before * after for before, after in pairwise(sizes))
+    if len(hidden_sizes) > MOST_LAYERS or weights > MOST_WEIGHTS:
+        raise ConfigError(
+            f"network.hidden_sizes has {len(hidden_sizes)} layers with {weights} weights; "
+            f"it may have at most {MOST_LAYERS} layers and {MOST_WEIGHTS} weights"
+        )
+
+
+def initialise(layers: nn.Module, generator: torch.Generator) -> None:
+    """Draws the weights of all linear layers anew, as `make_q_network` says."""
+    for layer in layers.modules():
         if isinstance(layer, nn.Linear):
             nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
             nn.init.zeros_(layer.bias)
-    return QValueActor(mlp, in_keys=["observation"], action_space="categorical")

@@ -34,7 +34,7 @@ class GreedyPolicy(TensorDictModuleBase):
     def __init__(self, networks: Sequence[QValueActor], observe_action: bool = False) -> None:
         super().__init__()
         layers = [network.module[0].module for network in networks]
-        parameters = [dict(each.named_parameters()) for each in layers]
+        parameters = [dict(each.named_parameters()) | dict(each.named_buffers()) for each in layers]
         self._stacked = {name: stack_in_place([of_one[name] for of_one in parameters]) for name in parameters[0]}
         self._layers = layers[:1]  # in a list, which hides it from torch: the collector would copy its parameters
         self._is_layered = isinstance(layers[0], nn.Sequential) and all(map(_is_simple, layers[0]))
@@ -75,5 +75,5 @@ class GreedyPolicy(TensorDictModuleBase):
 
 
 def _is_simple(layer: nn.Module) -> bool:
-    """Whether a layer is linear, or does the same to each value."""
-    return (isinstance(layer, nn.Linear) and layer.bias is not None) or isinstance(layer, nn.ReLU | nn.Tanh | nn.ELU)
+    """Whether a layer is linear and no more than that, or does the same to each value."""
+    return (type(layer) is nn.Linear and layer.bias is not None) or isinstance(layer, nn.ReLU | nn.Tanh | nn.ELU)

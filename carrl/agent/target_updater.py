@@ -1,6 +1,8 @@
 """When the target network follows the trained one."""
 
-from torchrl.objectives import DQNLoss, HardUpdate, LossModule
+import sys
+
+from torchrl.objectives import DQNLoss, HardUpdate, LossModule, SoftUpdate
 
 from carrl.errors import ConfigError
 
@@ -27,6 +29,9 @@ class PeriodicHardUpdate(HardUpdate):
         self.counter += count - 1
         super().step()
 
+    def follow(self) -> None:
+        """Nothing after a single update: the copies keep to env steps."""
+
     def state_dict(self) -> dict[str, int]:
         """How far the next copy is."""
         return {"counter": self.counter}
@@ -42,6 +47,36 @@ class PeriodicHardUpdate(HardUpdate):
         self.counter = state["counter"]
 
 
+class SoftTargetUpdate(SoftUpdate):
+    """Moves the target network a share of its way to the network after every update.
+
+    Source: Lillicrap et al. 2016, "Continuous control with deep reinforcement learning", section 3 (tau).
+    """
+
+    steps_left = sys.maxsize
+    """Env steps to the next copy: there is none."""
+
+    def __init__(self, loss: LossModule, tau: float) -> None:
+        super().__init__(loss, tau=tau)
+
+    def step(self, count: int = 1) -> None:
+        """Nothing at env steps: the target follows the updates."""
+
+    def follow(self) -> None:
+        """Moves the target network, after each update."""
+        super().step()
+
+    def state_dict(self) -> dict[str, int]:
+        """Nothing but the loss's own parameters moves."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, int]) -> None:
+        """Nothing to put back."""
+
+
+TargetUpdater = PeriodicHardUpdate | SoftTargetUpdate
+
+
 def make_hard_update(period: int, *, loss: DQNLoss) -> PeriodicHardUpdate:
     """A hard update of the loss's target network every `period` env steps.
 
@@ -51,3 +86,17 @@ def make_hard_update(period: int, *, loss: DQNLoss) -> PeriodicHardUpdate:
     if period < 1:
         raise ConfigError(f"target_updater.period is {period}; it must be at least 1 env step")
     return PeriodicHardUpdate(loss, period)
+
+
+def make_soft_update(tau: float, *, loss: DQNLoss) -> SoftTargetUpdate:
+    """A soft update of the loss's target network after every update: target += tau * (network - target).
+
+    Raises:
+        ConfigError: tau is no share of at most a half.
+    """
+    if not 0 < tau <= 0.5:
+        raise ConfigError(
+            f"target_updater.tau is {tau}; it must be more than 0 and at most 0.5, "
+            "and to follow faster there is target_updater=hard"
+        )
+    return SoftTargetUpdate(loss, tau)

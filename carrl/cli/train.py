@@ -1,4 +1,7 @@
-"""`carrl train`: trains a policy and leaves its run's folder, or goes on with one."""
+"""`carrl train`: trains a policy and leaves its run's folder, or goes on with one.
+
+What trains is imported once the configuration is composed, so that a misspelt key is answered at once.
+"""
 
 import os
 import sys
@@ -11,12 +14,12 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from carrl.cli.training import train
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
-from carrl.run.resumption import resumed_config, resumed_state
 
 RESUME = "resume="
+HYDRAS_OWN = {".hydra", ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml"}
+"""What Hydra writes before anything is checked."""
 
 
 def main(argv: list[str]) -> int:
@@ -29,10 +32,14 @@ def main(argv: list[str]) -> int:
     failures: list[CarrlError] = []
 
     def job(config: DictConfig) -> None:
+        from carrl.cli.training import train
+
+        path = Path(HydraConfig.get().runtime.output_dir)
         try:
-            train(_plain(config), Path(HydraConfig.get().runtime.output_dir))
+            train(_plain(config), path)
         except CarrlError as error:  # kept from Hydra, which would print it in its own way and stop a sweep
             failures.append(error)
+            _remove_unless_begun(path)
 
     try:
         hydra.main(version_base="1.3", config_path=str(config_dir()), config_name="train")(job)()
@@ -49,9 +56,21 @@ def _resume(run: Path, arguments: list[str]) -> int:
     flags = [argument for argument in arguments if argument.startswith("-")]
     if flags:
         raise ConfigError(f"{flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
+    from carrl.cli.training import train
+    from carrl.run.resumption import resumed_config, resumed_state
+
     config = resumed_config(run, arguments)
     train(config, run, resumed_state(run, config))
     return 0
+
+
+def _remove_unless_begun(path: Path) -> None:
+    """Leaves nothing behind of a run that was refused before it began."""
+    found = {each.relative_to(path).as_posix() for each in path.rglob("*")}
+    if found <= HYDRAS_OWN:
+        for name in sorted(found, reverse=True):
+            (path / name).rmdir() if (path / name).is_dir() else (path / name).unlink()
+        path.rmdir()
 
 
 def _plain(config: DictConfig) -> dict[str, Any]:

@@ -25,8 +25,6 @@ from carrl.run.state_file import StateFile
 from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
 from carrl.view.console import Display, OfflineDisplay, TrainingDisplay, print_summaries, print_summary
-from carrl.view.lap import draw_lap
-from carrl.view.learning_curve import draw_learning_curve
 
 Config = dict[str, Any]
 
@@ -184,11 +182,15 @@ def _exhausted() -> CarrlError:
 
 
 def _draw_learning_curve(run: AgentRun) -> None:
+    from carrl.view.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
+
     first_lap = run.first_lap.episode if run.first_lap else None
     draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
 
 
 def _draw_lap(world: World, run: AgentRun) -> None:
+    from carrl.view.lap import draw_lap  # Here, since Matplotlib takes long to import.
+
     best = run.best
     if best is not None:
         draw_lap(

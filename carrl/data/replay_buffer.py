@@ -8,11 +8,11 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
-from torch import Tensor
-from torchrl.data import LazyTensorStorage, RandomSampler, Storage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
+from carrl.data.returns import STEPS
+from carrl.data.sampler import AgentSampler, PrioritizedAgentSampler
 from carrl.errors import ConfigError
-from carrl.generators import restore, states_of
 from carrl.sim.vehicle import Action
 
 KEYS = (
@@ -23,40 +23,9 @@ KEYS = (
     ("next", "done"),
     ("next", "terminated"),
 )
-"""What the loss reads of a transition; nothing else is kept."""
+"""What the loss reads of a transition; nothing else is kept, but `STEPS` of one over several steps."""
 MOST_TRANSITIONS = 2**27
 """Of a memory: about 10 GB with the default sensor."""
-
-
-class AgentSampler(RandomSampler):
-    """Uniform with replacement, for every agent from its own memory and with its own generator.
-
-    Args:
-        generators: one for each agent.
-    """
-
-    def __init__(self, generators: Sequence[torch.Generator]) -> None:
-        self._generators = list(generators)
-        self._agents = torch.arange(len(self._generators))
-
-    @property
-    def agents(self) -> int:
-        """How many agents' memories there are."""
-        return len(self._generators)
-
-    def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
-        """Indices of items and of agents, [batch_size, A] each, such that storage[items, agents] is the sample."""
-        drawn = [torch.randint(len(storage), (batch_size,), generator=each) for each in self._generators]
-        items = torch.stack(drawn, dim=1).to(storage.device)
-        return (items, self._agents.to(storage.device).expand_as(items)), {}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Where every generator stands."""
-        return {"generators": states_of(self._generators)}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Goes on from where the generators stood."""
-        restore(self._generators, state_dict["generators"])
 
 
 def make_replay_buffer(
@@ -69,17 +38,53 @@ def make_replay_buffer(
     Raises:
         ConfigError: the batch is empty or larger than the memory, or the memory is too large.
     """
+    return _make_buffer(capacity, batch_size, device, AgentSampler(generators))
+
+
+def make_prioritized_replay_buffer(
+    capacity: int,
+    batch_size: int,
+    alpha: float,
+    beta: float,
+    *,
+    device: torch.device | str,
+    generators: Sequence[torch.Generator],
+) -> TensorDictReplayBuffer:
+    """The buffer of `make_replay_buffer`, but transitions that surprised the network are sampled more often.
+
+    Raises:
+        ConfigError: the batch is empty or larger than the memory, or alpha or beta lies outside 0..1.
+    """
+    for name, value in (("alpha", alpha), ("beta", beta)):
+        if not 0 <= value <= 1:
+            raise ConfigError(f"replay_buffer.{name} is {value}; it must lie in 0..1")
+    _check_sizes(capacity, batch_size)
+    return _make_buffer(capacity, batch_size, device, PrioritizedAgentSampler(generators, capacity, alpha, beta))
+
+
+def keys_of(buffer: TensorDictReplayBuffer) -> list[Any]:
+    """What a buffer that is not empty keeps of a transition."""
+    return [*KEYS, STEPS] if STEPS in buffer.storage._storage else [*KEYS]
+
+
+def _check_sizes(capacity: int, batch_size: int) -> None:
     if not 1 <= batch_size <= capacity:
         raise ConfigError(
             f"replay_buffer.batch_size is {batch_size} and capacity is {capacity}; it must be 1 to capacity transitions"
         )
     if capacity > MOST_TRANSITIONS:
         raise ConfigError(f"replay_buffer.capacity is {capacity}; it may be at most {MOST_TRANSITIONS} transitions")
+
+
+def _make_buffer(
+    capacity: int, batch_size: int, device: torch.device | str, sampler: AgentSampler
+) -> TensorDictReplayBuffer:
+    _check_sizes(capacity, batch_size)
     return TensorDictReplayBuffer(
         # "compilable": the length and the cursor are plain numbers, not shared memory, which may be full
         storage=LazyTensorStorage(capacity, device=device, compilable=True),
         writer=TensorDictRoundRobinWriter(compilable=True),
-        sampler=AgentSampler(generators),
+        sampler=sampler,
         batch_size=batch_size,
     )
 
@@ -87,7 +92,7 @@ def make_replay_buffer(
 def contents_of(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
     """The transitions in the ring, [items, A] each, and the place of the next one; not what is not yet filled."""
     items = len(buffer)
-    fields = buffer.storage._storage.select(*KEYS)[:items].flatten_keys("/").to_dict() if items else {}
+    fields = buffer.storage._storage.select(*keys_of(buffer))[:items].flatten_keys("/").to_dict() if items else {}
     return {"fields": fields, "cursor": buffer.writer._cursor}
 
 
@@ -106,5 +111,5 @@ def put_back(buffer: TensorDictReplayBuffer, contents: dict[str, Any]) -> None:
         action = transitions["action"]
         if not ((action >= 0) & (action < len(Action))).all():
             raise ValueError("there are actions that no car has")
-        buffer.extend(transitions.select(*KEYS))
+        buffer.extend(transitions.select(*KEYS, *([STEPS] if STEPS in fields else [])))
     buffer.writer._cursor = cursor

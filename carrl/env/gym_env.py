@@ -12,7 +12,6 @@ import gymnasium
 import numpy as np
 import torch
 
-from carrl.env.reward import TERMS
 from carrl.env.task import Situation, Task, Tracks
 from carrl.errors import ConfigError
 from carrl.sim.vehicle import Action, Vehicle
@@ -102,7 +101,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         after = self.task.step(before, torch.tensor([int(action)]))
         self._now = now = after.situation
         terms = after.reward_terms
-        info = self._info(now) | dict(zip(TERMS, terms.tolist()[0], strict=True))
+        info = self._info(now) | dict(zip(self.task.reward.term_names, terms.tolist()[0], strict=True))
         reward, collided = float(terms.sum().item()), bool(after.terminated.item())
         self._return, self._collided = self._return + reward, collided
         if self.render_mode is not None:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode
 from carrl.env.random_streams import CarStreams
-from carrl.env.reward import TERMS
+from carrl.env.reward import SHAPING, TERMS
 from carrl.env.task import Situation, Task, Tracks, Transition
 from carrl.errors import ConfigError
 from carrl.sim.vehicle import Action, Vehicle
@@ -252,8 +252,8 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _by_name(terms: Tensor) -> dict[str, np.ndarray]:
-    """Terms of the reward [N, 4], each on its own, [N], float64."""
-    return dict(zip(TERMS, terms.double().numpy().T.copy(), strict=True))
+    """Terms of the reward [N, K], each on its own, [N], float64."""
+    return dict(zip((*TERMS, SHAPING), terms.double().numpy().T.copy(), strict=False))
 
 
 def _rewards(terms: Tensor) -> np.ndarray:

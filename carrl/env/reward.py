@@ -1,6 +1,6 @@
-"""The paper's reward, term by term, and one of our own for smooth driving.
+"""The paper's reward, term by term, one of our own for smooth driving, and one that leads the way to the next gate.
 
-Shapes: `B` cars.
+Shapes: `B` cars, `K` terms.
 
 Source: "Simulation-based Self-driving Car using Reinforcement Learning", section IV.
 """
@@ -16,6 +16,8 @@ from carrl.sim.vehicle import Action
 
 TERMS = ("collision", "proximity", "gate", "steering")
 """The order of the terms in every tensor of them; the paper has all but the last."""
+SHAPING = "shaping"
+"""One more term, where there is any."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class Reward:
         proximity_threshold: as a share of the sensor's range, 0..1.
         turn: for each action left or right; not the paper's.
         switch: for each change between forward and a turn, two of which make left of right; not the paper's.
+        approach: for each metre by which the next gate comes closer, by potential-based shaping; not the paper's.
+        discount: of the values that are learnt; the potentials after a step count by it.
     """
 
     collision: float = -200.0
@@ -37,12 +41,23 @@ class Reward:
     proximity_threshold: float = 0.1
     turn: float = 0.0
     switch: float = 0.0
+    approach: float = 0.0
+    discount: float = 1.0
 
     def __post_init__(self) -> None:
-        """Raises ConfigError for a value that is no finite number."""
+        """Raises ConfigError for a value that is no finite number, and if the shaping's weight or discount is none."""
         for name, value in vars(self).items():
             if not math.isfinite(value):
                 raise ConfigError(f"reward.{name} is {value}; it must be a finite number")
+        if not self.approach >= 0:
+            raise ConfigError(f"reward.approach is {self.approach}; it must be 0 or more per metre")
+        if not 0 <= self.discount <= 1:
+            raise ConfigError(f"reward.discount is {self.discount}; it must lie in 0..1")
+
+    @property
+    def term_names(self) -> tuple[str, ...]:
+        """What the terms are called, in their order."""
+        return (*TERMS, SHAPING) if self.approach else TERMS
 
     def is_near_wall(self, readings: Tensor) -> Tensor:
         """Whether any sensor reads below the threshold: [B, R] in 0..1 to [B] bool."""
@@ -61,21 +76,38 @@ class Reward:
             last_action: the one before, [B], int64.
 
         Returns:
-            [B, 4], float32.
+            [B, 4], float32: all but the shaping.
         """
         near = self.is_near_wall(readings) & ~collided
         paper = collided * self.collision, near * self.proximity, gates_passed * self.gate
         return torch.stack([*paper, self._steering(action, last_action)], dim=-1).to(readings.dtype)
 
+    def shaping(self, distance_before: Tensor, distance_after: Tensor, terminated: Tensor) -> Tensor:
+        """What a step earns by coming closer to the next gate, [B], float32.
+
+        The potential of a situation is -approach * distance, that of the end of an episode 0, and a step earns
+        discount * potential after it - potential before it. Whatever the potentials are, the best policy stays the
+        best: all that they give is taken back, at the latest when the gate is passed and the next one is far away.
+
+        Source: Ng, Harada and Russell 1999, "Policy Invariance Under Reward Transformations", theorem 1.
+
+        Args:
+            distance_before: from the next gate, before the step, [B], m.
+            distance_after: from what is the next gate then, after it, [B], m.
+            terminated: whether the episode ended there, [B], bool.
+        """
+        after = torch.where(terminated, 0, distance_after)
+        return (self.approach * (distance_before - self.discount * after)).float()
+
     @staticmethod
     def of_paper(terms: Tensor) -> Tensor:
-        """The sum of the paper's terms: [..., 4] to [...]."""
-        return terms[..., :-1].sum(dim=-1)
+        """The sum of the paper's terms: [..., K] to [...]."""
+        return terms[..., :3].sum(dim=-1)
 
     @staticmethod
     def of_steering(terms: Tensor) -> Tensor:
-        """What the paper's terms leave: [..., 4] to [...]."""
-        return terms[..., -1]
+        """What turns and switches earn: [..., K] to [...]."""
+        return terms[..., 3]
 
     def _steering(self, action: Tensor, last_action: Tensor) -> Tensor:
         if not self.turn and not self.switch:

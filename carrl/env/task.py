@@ -60,7 +60,7 @@ class Transition(NamedTuple):
 
     Attributes:
         situation: after the step.
-        reward_terms: see `carrl.env.reward`, [N, 4], float32; the reward is their sum.
+        reward_terms: see `carrl.env.reward`, [N, 4], with shaping [N, 5], float32; the reward is their sum.
         terminated: the car touched a wall, [N], bool.
         truncated: the episode reached its last step without that, [N], bool.
     """
@@ -173,12 +173,15 @@ class Task:
         outcome = self.simulator.step(situation.state, action)
         truth = outcome.ranges / self.simulator.sensor.max_range
         terms = self.reward.terms(truth, outcome.collided, outcome.gates_passed, action, situation.last_action)
+        if self.reward.approach:
+            before, after = (self.simulator.gate_distance(state) for state in (situation.state, outcome.state))
+            terms = torch.cat([terms, self.reward.shaping(before, after, outcome.collided)[:, None]], dim=-1)
         readings = read(self.simulator.sensor, outcome.ranges, self.streams)
         step = situation.step + 1
         truncated = (step >= self.max_steps) & ~outcome.collided
         observation = observe(readings, action, self.observe_action)
-        after = Situation(outcome.state, step, action, observation)
-        return Transition(after, terms, outcome.collided, truncated)
+        now = Situation(outcome.state, step, action, observation)
+        return Transition(now, terms, outcome.collided, truncated)
 
     def _draw_tracks(self, wanted: Tensor) -> Tensor:
         """Which track each car drives on, [N]."""

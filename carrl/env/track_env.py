@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from carrl.env.reward import TERMS, Reward
+from carrl.env.reward import Reward
 from carrl.env.task import Situation, Task, Tracks
 from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
@@ -28,7 +28,7 @@ class TrackEnv(EnvBase):
     | `observation` | [N, R] float32 | distance along each ray / range, 0..1, right to left; see `observe_action` |
     | `action` | [N] int64 | 0 forward, 1 left, 2 right |
     | `reward` | [N, 1] float32 | sum of `reward_terms` |
-    | `reward_terms` | [N, 4] float32 | collision, proximity, gate, steering; zero after a reset |
+    | `reward_terms` | [N, 4] float32 | collision, proximity, gate, steering, shaping if any; zero after a reset |
     | `terminated` | [N, 1] bool | the car touched a wall |
     | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
@@ -172,7 +172,7 @@ class TrackEnv(EnvBase):
         if cars is not None:
             for key, value in values.items():
                 values[key] = value.new_zeros(*self.batch_size, *value.shape[1:]).index_copy_(0, cars, value)
-        values["reward_terms"] = values["observation"].new_zeros(*self.batch_size, len(TERMS))
+        values["reward_terms"] = values["observation"].new_zeros(*self.batch_size, len(self.task.reward.term_names))
         for key in ("done", "terminated", "truncated"):
             values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
@@ -196,7 +196,7 @@ class TrackEnv(EnvBase):
         size = self.task.observation_size
         self.observation_spec = Composite(
             observation=Bounded(0.0, 1.0, shape=(cars, size), dtype=torch.float32, **options),
-            reward_terms=Unbounded((cars, len(TERMS)), dtype=torch.float32, **options),
+            reward_terms=Unbounded((cars, len(self.task.reward.term_names)), dtype=torch.float32, **options),
             **state,
             shape=(cars,),
             **options,

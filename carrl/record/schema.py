@@ -46,6 +46,7 @@ class Column:
         dtype: the type it has in memory, before writing and after loading.
         shape: the shape of one transition's value: () for a scalar, else (width,).
         meaning: what the values are, with their unit.
+        may_be_wider: whether there may be more values than the shape says, all of one width in one log.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Column:
     dtype: str
     shape: tuple[int | None, ...]
     meaning: str
+    may_be_wider: bool = False
 
     @property
     def description(self) -> str:
@@ -64,6 +66,8 @@ class Column:
     def fits(self, shape: tuple[int, ...]) -> bool:
         """Whether a transition's value may have this shape."""
         wanted = [extent if want is RAYS else want for want, extent in zip(self.shape, shape, strict=False)]
+        if self.may_be_wider:
+            wanted = [max(want or 0, extent) for want, extent in zip(wanted, shape, strict=False)]
         return len(shape) == len(self.shape) and tuple(wanted) == shape
 
 
@@ -80,7 +84,15 @@ COLUMNS = (
     ),
     Column("action", "action", "<i4", "int64", (), "0 forward, 1 left, 2 right"),
     Column("reward", ("next", "reward"), "<f4", "float32", (1,), "sum of the reward terms"),
-    Column("reward_terms", ("next", "reward_terms"), "<f4", "float32", (4,), "collision, proximity, gate, steering"),
+    Column(
+        "reward_terms",
+        ("next", "reward_terms"),
+        "<f4",
+        "float32",
+        (4,),
+        "collision, proximity, gate, steering; then shaping, if there is any",
+        may_be_wider=True,
+    ),
     Column(
         "next_observation",
         ("next", "observation"),

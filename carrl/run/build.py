@@ -11,14 +11,17 @@ from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.modules import QValueActor
 
-from carrl.agent.exploration import ExponentialEpsilonGreedy
+from carrl.agent.exploration import EpsilonGreedy
 from carrl.agent.policy import GreedyPolicy
+from carrl.agent.weight_noise import WeightNoise, is_noisy
 from carrl.config import build_node
 from carrl.data.logs import check_logs, fill_from_logs
+from carrl.data.returns import NStepReturns
 from carrl.env.observation import observation_size
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError, shown
+from carrl.run.combinations import check_offline, check_priorities
 from carrl.run.learner import Agent, Learner
 from carrl.run.plan import EvaluationPlan, OfflinePlan, TrainingPlan
 from carrl.sim.sensor import Sensor
@@ -53,9 +56,10 @@ class Pipeline(Learning):
     """The parts of a training run in the simulator, built and wired."""
 
     env: TrackEnv
-    exploration: ExponentialEpsilonGreedy
+    exploration: EpsilonGreedy
     collector: Collector
     evaluation: EvaluationPlan
+    returns: NStepReturns | None
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,7 @@ def build_pipeline(config: Config) -> Pipeline:
         exploration=exploration,
         collector=build_node("collector", config["collector"], env=env, policy=policy),
         evaluation=build_node("evaluation", config["evaluation"]),
+        returns=_build_optional(config, "returns", gamma=config["loss"]["gamma"]),
     )
 
 
@@ -113,6 +118,7 @@ def build_offline_pipeline(config: Config) -> OfflinePipeline:
     Raises:
         CarrlError: a part refuses its values, or a log cannot be read or does not fit the configuration.
     """
+    check_offline(config)
     offline_plan: OfflinePlan = build_node("data", config["data"])
     sensor: Sensor = build_node("sensor", config["sensor"])
     transitions = check_logs(offline_plan.paths, sensor, observes_action(config))
@@ -152,6 +158,7 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
         device=device,
         generators=[_generator(seed, "replay_buffer") for seed in seeds],
     )
+    check_priorities(agents[0].loss, replay_buffer)
     return Learning(
         world=world,
         agents=agents,
@@ -165,13 +172,22 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
 def _build_agent(config: Config, seed: int, device: torch.device) -> Agent:
     network = build_network(config, _generator(seed, "network")).to(device)
     loss = build_node("loss", config["loss"], network=network)
+    target_updater = build_node("target_updater", config["target_updater"], loss=loss)
     return Agent(
         seed=seed,
         network=network,
         loss=loss,
         optimizer=build_node("optimizer", config["optimizer"], params=list(loss.parameters())),
-        target_updater=build_node("target_updater", config["target_updater"], loss=loss),
+        target_updater=target_updater,
+        clipping=_build_optional(config, "gradient_clipping"),
+        learning_rate=_build_optional(config, "learning_rate"),
+        noise=WeightNoise(network, loss, _generator(seed, "noise")) if is_noisy(network) else None,
     )
+
+
+def _build_optional(config: Config, name: str, **dependencies: Any) -> Any:
+    """A part that may be absent, as it is in runs of earlier versions."""
+    return build_node(name, config[name], **dependencies) if config.get(name) else None
 
 
 def build_world(config: Config) -> World:
@@ -221,7 +237,7 @@ def _checked_flag(name: str, value: Any) -> bool:
     return value
 
 
-_RANDOM_PARTS = ("env", "network", "exploration", "replay_buffer")
+_RANDOM_PARTS = ("env", "network", "exploration", "replay_buffer", "noise")  # each one's seed depends on its place
 
 
 def _generator(seed: int, part: str) -> torch.Generator:

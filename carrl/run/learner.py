@@ -10,27 +10,26 @@ Shapes: `A` agents, `U` updates.
 import logging
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
-from torch.func import grad_and_value
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
-from carrl.agent.stack import stack_in_place
-from carrl.agent.target_updater import PeriodicHardUpdate
-from carrl.data.replay_buffer import KEYS
+from carrl.agent.gradient_clipping import GradientClipping
+from carrl.agent.learning_rate import LearningRateDecay
+from carrl.agent.target_updater import TargetUpdater
+from carrl.agent.weight_noise import WeightNoise
+from carrl.data.sampler import Minibatch, PrioritizedAgentSampler
 from carrl.run.divergence import Divergence
-from carrl.run.native import CompilationError, NativeFunction, compile_native
+from carrl.run.native import CompilationError
+from carrl.run.native_update import NativeUpdate
 
 _logger = logging.getLogger(__name__)
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,10 @@ class Agent:
     network: QValueActor
     loss: DQNLoss
     optimizer: torch.optim.Optimizer
-    target_updater: PeriodicHardUpdate
+    target_updater: TargetUpdater
+    clipping: GradientClipping | None = None
+    learning_rate: LearningRateDecay | None = None
+    noise: WeightNoise | None = None
 
 
 class Learner:
@@ -60,7 +62,8 @@ class Learner:
         """Compiles nothing yet: the buffer's shape is unknown while it is empty."""
         self._agents, self._buffer = agents, buffer
         self._compiles = compiled
-        self._native: _NativeUpdate | None = None
+        self._native: NativeUpdate | None = None
+        self._rates = [[group["lr"] for group in agent.optimizer.param_groups] for agent in agents]
         self.updates = 0
         self.first_update_at: float | None = None
         self._is_compiling = self._is_interrupted = False
@@ -78,6 +81,7 @@ class Learner:
                     "loss": agent.loss.state_dict(),
                     "optimizer": agent.optimizer.state_dict(),
                     "target_updater": agent.target_updater.state_dict(),
+                    **({"noise": agent.noise.state_dict()} if agent.noise else {}),
                 }
                 for agent in self._agents
             ],
@@ -90,13 +94,14 @@ class Learner:
         """
         self.updates, self.losses = state["updates"], state["losses"].clone()
         self._buffer.sampler.load_state_dict(state["sampler"])
-        for agent, own in zip(self._agents, state["agents"], strict=True):
-            rates = [group["lr"] for group in agent.optimizer.param_groups]
+        for agent, rates, own in zip(self._agents, self._rates, state["agents"], strict=True):
             agent.loss.load_state_dict(own["loss"])
             agent.optimizer.load_state_dict(own["optimizer"])
             for group, rate in zip(agent.optimizer.param_groups, rates, strict=True):
                 group["lr"] = rate
             agent.target_updater.load_state_dict(own["target_updater"])
+            if agent.noise:
+                agent.noise.load_state_dict(own["noise"])
 
     def learn(self, frames: int) -> None:
         """One update for each of the next `frames` env steps, if there is a batch to sample; the targets follow.
@@ -129,45 +134,68 @@ class Learner:
 
     def _update(self, count: int) -> None:
         """The first update of all is eager, for it makes the optimizers' state; the second one compiles."""
-        samples, _ = self._buffer.sampler.sample(self._buffer.storage, count * self._batch_size)
-        batches = list(zip(*(index.split(self._batch_size) for index in samples), strict=True))
-        losses = []
-        for number, (items, agents) in enumerate(batches):
-            if self._compiles and self._native is None and self.updates + number > 0:
+        losses, items = [], []
+        storage, sampler = self._buffer.storage, self._buffer.sampler
+        for number, minibatch in enumerate(sampler.minibatches(storage, count, self._batch_size), self.updates):
+            self._prepare(number)
+            if self._compiles and self._native is None and number > 0:
                 self._try_to_compile()
-            self.losses = self._update_eagerly((items, agents)) if self._native is None else self._native(items)
+            update = self._native or self._update_eagerly
+            self.losses, td_errors = update(minibatch)
+            if td_errors is not None:
+                sampler.set_priorities(minibatch.items, td_errors.sqrt())
             losses.append(self.losses)
+            items.append(minibatch.items)
             if self.first_update_at is None and (self._native is not None or not self._compiles):
                 self.first_update_at = time.monotonic()
-        self._note_divergences(torch.stack(losses), samples[0])
+        self._note_divergences(torch.stack(losses), items)
         self.updates += count
 
-    def _note_divergences(self, losses: Tensor, items: Tensor) -> None:
-        """Looks for losses [U, A] that are not finite; the items sampled are [U * batch_size, A]."""
+    def _prepare(self, update: int) -> None:
+        """Sets what an update is made with, by its number from 0: learning rates and the noise of weights."""
+        for agent, rates in zip(self._agents, self._rates, strict=True):
+            if agent.learning_rate is not None:
+                for group, rate in zip(agent.optimizer.param_groups, rates, strict=True):
+                    group["lr"] = rate * agent.learning_rate.share(update)
+            if agent.noise is not None:
+                agent.noise.draw()
+
+    def _note_divergences(self, losses: Tensor, items: Sequence[Tensor]) -> None:
+        """Looks for losses [U, A] that are not finite; the items sampled are [batch_size, A] for each update."""
         broken = ~losses.isfinite()
         if not broken.any():
             return
         for agent in broken.any(0).nonzero()[:, 0].tolist():
             first = int(broken[:, agent].int().argmax())
-            minibatch = items[first * self._batch_size : (first + 1) * self._batch_size, agent]
-            divergence = Divergence(self.updates + first + 1, losses[first, agent].item(), minibatch.tolist())
+            minibatch = items[first][:, agent].tolist()
+            divergence = Divergence(self.updates + first + 1, losses[first, agent].item(), minibatch)
             self.divergences.setdefault(agent, divergence)
 
-    def _update_eagerly(self, sample: tuple[Tensor, Tensor]) -> Tensor:
-        batch = self._buffer.storage.get(sample)
-        losses = []
+    def _update_eagerly(self, minibatch: Minibatch) -> tuple[Tensor, Tensor | None]:
+        """The losses before the update, [A], and if there are weights, the squared TD errors, [batch_size, A]."""
+        batch = self._buffer.storage.get((minibatch.items, minibatch.agents))
+        losses, td_errors = [], []
         for index, agent in enumerate(self._agents):
-            loss = agent.loss(batch[:, index])["loss"]
+            transitions = batch[:, index]
+            if minibatch.weights is not None:
+                transitions["priority_weight"] = minibatch.weights[:, index].contiguous()  # sums like one agent's alone
+            loss = agent.loss(transitions)["loss"]
             agent.optimizer.zero_grad()
             loss.backward()
+            if agent.clipping is not None:
+                torch.nn.utils.clip_grad_norm_(agent.loss.parameters(), agent.clipping.max_norm)
             agent.optimizer.step()
+            agent.target_updater.follow()
             losses.append(loss.detach())
-        return torch.stack(losses)
+            td_errors.append(transitions["td_error"][:, 0])
+        return torch.stack(losses), None if minibatch.weights is None else torch.stack(td_errors, dim=1)
 
     def _try_to_compile(self) -> None:
         self._is_compiling = True
         try:
-            self._native = _NativeUpdate(self._agents, self._buffer)
+            self._native = NativeUpdate(
+                self._agents, self._buffer, isinstance(self._buffer.sampler, PrioritizedAgentSampler)
+            )
         except CompilationError as error:
             if not self._is_interrupted:
                 _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
@@ -176,111 +204,3 @@ class Learner:
             self._is_compiling = False
         if self._is_interrupted:  # torchrl 0.14 makes an error of its own of a KeyboardInterrupt that is raised in it
             raise KeyboardInterrupt
-
-
-class _NativeUpdate:
-    """An update of all agents as one native function, on the tensors that are there when it is made."""
-
-    def __init__(self, agents: Sequence[Agent], buffer: TensorDictReplayBuffer) -> None:
-        self._options = _adam_options([agent.optimizer for agent in agents])
-        self._loss = agents[0].loss
-        self._keys = list(self._loss.value_network_params.keys(True, True))
-        parameters = [[agent.loss.value_network_params[key] for agent in agents] for key in self._keys]
-        targets = [[agent.loss.target_value_network_params[key] for agent in agents] for key in self._keys]
-        moments = [
-            [
-                [agent.optimizer.state[parameter][name] for agent, parameter in zip(agents, of_agents, strict=True)]
-                for of_agents in parameters
-            ]
-            for name in _MOMENTS
-        ]
-        learnt = [stack_in_place(of_agents) for group in (parameters, *moments, targets) for of_agents in group]
-        memory = buffer.storage._storage  # all of it, filled or not: its tensors stay where they are
-        if any(tensor.device.type != "cpu" for tensor in learnt):
-            raise CompilationError("only updates on the CPU are")
-        self._inputs = [*learnt, *(memory[key] for key in KEYS)]
-        items = torch.zeros(buffer.batch_size, len(agents), dtype=torch.int64)
-        scratch = [tensor.clone() for tensor in learnt]
-        self._call: NativeFunction = compile_native(self._update, [*scratch, *self._inputs[len(learnt) :], items])
-
-    def __call__(self, items: Tensor) -> Tensor:
-        """Updates from these items of the memory, [batch_size, A]; the losses before it, [A]."""
-        (losses,) = self._call([*self._inputs, items])
-        return losses
-
-    def _update(self, *tensors: Tensor) -> Tensor:
-        values, steps, averages, squares, targets, (*memory, items) = _split(tensors, len(self._keys))
-        agents = torch.arange(items.shape[1])
-        batch = [field[items, agents] for field in memory]
-        gradients, losses = torch.vmap(grad_and_value(self._loss_of), in_dims=(0, 0, 1))(values, targets, batch)
-        for value, *rest in zip(values, gradients, steps, averages, squares, strict=True):
-            _adam_step(self._options, value, *rest)
-        return losses
-
-    def _loss_of(self, values: list[Tensor], targets: list[Tensor], batch: list[Tensor]) -> Tensor:
-        """One agent's loss, as TorchRL defines it."""
-        transitions = TensorDict({}, batch_size=batch[0].shape[:1])
-        for key, field in zip(KEYS, batch, strict=True):
-            transitions[key] = field
-        with _parameters_of(self._loss, self._keys, values, targets):
-            return self._loss(transitions)["loss"]
-
-
-def _split(tensors: tuple[Tensor, ...], count: int) -> list[list[Tensor]]:
-    """Five groups of `count` tensors each, and one of the rest."""
-    groups = [list(tensors[start : start + count]) for start in range(0, 5 * count, count)]
-    return [*groups, list(tensors[5 * count :])]
-
-
-@contextmanager
-def _parameters_of(loss: DQNLoss, keys: list[Any], values: list[Tensor], targets: list[Tensor]) -> Iterator[None]:
-    """Lets the loss compute with these tensors; `torch.func.functional_call` on a LossModule raises in torchrl 0.14."""
-    stand_ins = {"value_network_params": values, "target_value_network_params": targets}
-    own = {name: loss._modules[name] for name in stand_ins}
-    try:
-        for name, tensors in stand_ins.items():
-            loss._modules[name] = TensorDict(dict(zip(keys, tensors, strict=True)), [])
-        yield
-    finally:
-        loss._modules.update(own)
-
-
-class _AdamOptions(NamedTuple):
-    lr: float
-    beta_1: float
-    beta_2: float
-    eps: float
-
-
-def _adam_options(optimizers: Sequence[torch.optim.Optimizer]) -> _AdamOptions:
-    """What an update needs of plain Adam with one group of parameters, the same for all agents.
-
-    Raises:
-        CompilationError: it is another optimizer, or uses more of Adam.
-    """
-    optimizer = optimizers[0]
-    if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
-        raise CompilationError(f"the optimizer is {type(optimizer).__name__}, not Adam with one group")
-    (group,) = optimizer.param_groups
-    extras = [name for name in ("weight_decay", "amsgrad", "maximize", "decoupled_weight_decay") if group[name]]
-    if extras:
-        raise CompilationError(f"the optimizer uses {', '.join(extras)}")
-    beta_1, beta_2 = group["betas"]
-    return _AdamOptions(group["lr"], beta_1, beta_2, group["eps"])
-
-
-def _adam_step(
-    options: _AdamOptions, value: Tensor, gradient: Tensor, step: Tensor, average: Tensor, square: Tensor
-) -> None:
-    """Moves one parameter [A, ...] and its state in place; `step` is [A].
-
-    Source: Kingma and Ba 2015, "Adam: A Method for Stochastic Optimization", Algorithm 1.
-    """
-    lr, beta_1, beta_2, eps = options
-    step.add_(1)
-    taken = step.double().view(-1, *[1] * (value.ndim - 1))
-    average.lerp_(gradient, 1 - beta_1)
-    square.mul_(beta_2).addcmul_(gradient, gradient, value=1 - beta_2)
-    unbiased = average / (1 - beta_1**taken).to(average.dtype)
-    scale = (square / (1 - beta_2**taken).to(square.dtype)).sqrt() + eps
-    value.sub_(lr * unbiased / scale)

@@ -33,8 +33,10 @@ class CompilationError(Exception):
 NativeFunction = Callable[[list[Tensor]], list[Tensor]]
 
 
-def compile_native(function: Callable[..., Tensor], inputs: Sequence[Tensor]) -> NativeFunction:
+def compile_native(function: Callable[..., Any], inputs: Sequence[Tensor]) -> NativeFunction:
     """Traces `function` on these inputs and returns it as native code for lists of inputs of the same shapes and types.
+
+    It returns a tensor or a tuple of them, the native code a list.
 
     What the function does to its inputs in place, the native code does too. Python branches are taken as they were in
     the trace. The code is kept in `cache_dir()`, under a name that any change of the function, the shapes, torch or the

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 import carrl
-from carrl.env.reward import TERMS
 from carrl.env.track_env import TrackEnv
 from carrl.record.scene import Scene
 from carrl.sim.vehicle import Action
@@ -35,7 +34,7 @@ def scene_of(env: TrackEnv) -> Scene:
     vehicle = env.simulator.vehicle
     return Scene(
         action_names=tuple(action.name.lower() for action in Action),
-        reward_terms=TERMS,
+        reward_terms=env.task.reward.term_names,
         sensor_angles=env.sensor_angles.double().cpu().numpy(),
         sensor_range=env.sensor_range,
         time_step=vehicle.time_step,

@@ -75,18 +75,21 @@ class Trainer(Training):
             "streams": pipeline.env.task.streams.state_dict(),
             "exploration": pipeline.exploration.state_dict(),
             "replay_buffer": contents_of(pipeline.replay_buffer),
+            **({"returns": pipeline.returns.state_dict()} if pipeline.returns else {}),
             "evaluated_at": self._evaluated_at,
             "active": list(self._active),
         }
 
     def _load(self, state: dict[str, Any]) -> None:
-        super()._load(state)
         pipeline = self._pipeline
+        put_back(pipeline.replay_buffer, state["replay_buffer"])  # before the sampler, which has priorities of its own
+        super()._load(state)
+        if pipeline.returns:
+            pipeline.returns.load_state_dict(state["returns"])
         self._tracker.load_state_dict(state["tracker"])
         put_cars_back(pipeline.collector, state["cars"])
         pipeline.env.task.streams.load_state_dict(state["streams"])
         pipeline.exploration.load_state_dict(state["exploration"])
-        put_back(pipeline.replay_buffer, state["replay_buffer"])
         self._evaluated_at = state["evaluated_at"]
         self._logged = self._measured = self.frames
         self._active = {index: self.runs[index] for index in state["active"]}
@@ -121,8 +124,9 @@ class Trainer(Training):
         frames_before = self.frames
         ended = self._tracker.follow(batch)
         # [A * N, T] to [F, A], in the order of time: an item of the buffer is one transition of each agent.
-        by_agent = batch.view(len(self.runs), -1, batch.shape[1]).permute(2, 1, 0).flatten(0, 1)
-        self._pipeline.replay_buffer.extend(by_agent.select(*KEYS))
+        by_time = batch.view(len(self.runs), -1, batch.shape[1]).permute(2, 1, 0)
+        by_agent = by_time.flatten(0, 1)
+        self._keep(by_time.select(*KEYS))
         self._record(by_agent)
         self._pipeline.learner.learn(len(by_agent))
         self._pipeline.exploration.step(len(by_agent))
@@ -133,6 +137,13 @@ class Trainer(Training):
         interval = self._pipeline.evaluation.interval
         if self.frames // interval > frames_before // interval:
             self._evaluate()
+
+    def _keep(self, transitions: TensorDictBase) -> None:
+        """Puts transitions [T, N, A], or what returns over several steps make of them, into the replay buffer."""
+        returns = self._pipeline.returns
+        kept = transitions if returns is None else returns(transitions)
+        if len(kept):
+            self._pipeline.replay_buffer.extend(kept.flatten(0, 1))
 
     def _record(self, by_agent: TensorDictBase) -> None:
         """Keeps transitions [F, A] to be logged together, and logs them when that is due."""

@@ -182,6 +182,11 @@ class Simulator:
         """Whether each car has passed all gates since its start: [B], bool."""
         return state.gates_passed >= self.gate_counts[state.track]
 
+    def gate_distance(self, state: State) -> Tensor:
+        """How far each car is from the middle of the gate that counts next, in a straight line, [B], float32, m."""
+        gate = self.terrain.gates[self.terrain.first_gate[state.track] + state.next_gate].unflatten(-1, (2, 2))
+        return torch.linalg.vector_norm(gate.mean(dim=1) - state.pose[:, :2], dim=-1)
+
     def progress(self, state: State, start_stations: Tensor) -> Tensor:
         """Share of the lap driven since the start, [B], in [0, 1]; the start's stations are [B], m.
 

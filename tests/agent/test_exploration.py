@@ -1,4 +1,4 @@
-"""Epsilon-greedy on the paper's schedule."""
+"""Epsilon-greedy on the paper's schedule, and on two others."""
 
 import math
 
@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carrl.agent.exploration import ExponentialEpsilonGreedy
+from carrl.agent.exploration import ConstantEpsilonGreedy, ExponentialEpsilonGreedy, LinearEpsilonGreedy
 from carrl.data.collector import make_collector
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
@@ -89,7 +89,44 @@ def test_draws_come_from_its_own_generators():
     assert (first["action"] != explored(make_exploration(seed=6))["action"]).any()
 
 
-@pytest.mark.parametrize("wrong", [{"epsilon_max": 1.5}, {"epsilon_min": 0.995}, {"decay_rate": -1.0}])
+def parts(seed=0):
+    return {"action_spec": Categorical(3), "generators": [torch.Generator().manual_seed(seed)]}
+
+
+def test_a_linear_schedule_falls_in_a_straight_line_and_then_stays():
+    exploration = LinearEpsilonGreedy(0.9, 0.1, 100, **parts())
+    found = []
+    for frames in (0, 25, 25, 50, 900):
+        exploration.step(frames)
+        found.append(exploration.epsilon)
+    assert found == pytest.approx([0.9, 0.7, 0.5, 0.1, 0.1])
+
+
+def test_a_constant_epsilon_stays_what_it_is():
+    exploration = ConstantEpsilonGreedy(0.25, **parts())
+    assert exploration.epsilon == 0.25
+    exploration.step(1000)
+    assert exploration.epsilon == 0.25
+    assert not explored(ConstantEpsilonGreedy(0.0, **parts()))["exploratory"].any()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: LinearEpsilonGreedy(0.9, 0.1, 0, **parts()), "exploration.env_steps_to_min is 0"),
+        (lambda: LinearEpsilonGreedy(math.nan, 0.1, 5, **parts()), "epsilon_max is nan"),
+        (lambda: ConstantEpsilonGreedy(1.5, **parts()), "exploration.epsilon is 1.5; it must lie in 0..1"),
+        (lambda: ConstantEpsilonGreedy(math.nan, **parts()), "exploration.epsilon is nan"),
+    ],
+)
+def test_other_impossible_schedules_are_refused(make, message):
+    with pytest.raises(ConfigError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"epsilon_max": 1.5}, {"epsilon_min": 0.995}, {"decay_rate": -1.0}, {"decay_rate": math.nan}]
+)
 def test_impossible_schedules_are_refused(wrong):
     with pytest.raises(ConfigError, match="exploration"):
         make_exploration(**wrong)

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from carrl.env.reward import TERMS, Reward
+from carrl.errors import ConfigError
 
 
 def all_terms_of(nearest, collided=False, gates=0, action=0, last_action=0, reward=None):
@@ -59,3 +60,35 @@ def test_all_weights_are_parameters():
     reward = Reward(collision=-1.0, proximity=-2.0, gate=3.0, proximity_threshold=0.6)
     assert terms_of(nearest=0.5, gates=1, reward=reward) == [0, -2, 3]
     assert terms_of(nearest=0.5, collided=True, reward=reward) == [-1, 0, 0]
+
+
+def test_shaping_pays_for_each_metre_closer_to_the_gate():
+    reward = Reward(approach=0.5, discount=0.9)
+    before, after = torch.tensor([10.0, 10.0, 1.0]), torch.tensor([9.0, 9.0, 30.0])
+    terminated = torch.tensor([False, True, False])
+    paid = reward.shaping(before, after, terminated).tolist()
+    assert paid == pytest.approx([0.5 * (10 - 0.9 * 9), 0.5 * 10, 0.5 * (1 - 0.9 * 30)])
+
+
+def test_over_an_episode_shaping_pays_what_the_start_decides_however_it_is_driven():
+    """Discounted, it sums up to minus the potential of the start."""
+    reward = Reward(approach=2.0, discount=0.9)
+    for distances in ([10.0, 9.0, 8.0, 7.0], [10.0, 30.0, 2.0, 50.0]):
+        steps = torch.tensor(distances)
+        terminated = torch.tensor([False, False, True])
+        paid = reward.shaping(steps[:-1], steps[1:], terminated) * 0.9 ** torch.arange(3)
+        assert paid.sum().item() == pytest.approx(2.0 * 10.0)
+
+
+def test_shaping_is_a_term_of_its_own_only_where_it_is_asked_for():
+    assert Reward().term_names == TERMS
+    assert Reward(approach=1.0).term_names == (*TERMS, "shaping")
+    terms = torch.tensor([-200.0, -20.0, 50.0, -3.0, 7.0])
+    assert Reward.of_paper(terms) == -170
+    assert Reward.of_steering(terms) == -3
+
+
+@pytest.mark.parametrize(("key", "value"), [("approach", -1.0), ("approach", float("nan")), ("discount", 1.1)])
+def test_a_shaping_that_is_none_is_refused(key, value):
+    with pytest.raises(ConfigError, match=rf"reward\.{key} is {value}"):
+        Reward(**{key: value})

@@ -311,3 +311,19 @@ def test_a_cuda_device_gives_the_same_rollouts_as_the_cpu(track):
     assert together
     for key in ("observation", "pose", ("next", "reward")):
         torch.testing.assert_close(on_cpu[key], on_cuda[key], atol=1e-3, rtol=0)
+
+
+def test_shaping_counts_the_way_to_the_next_gates_middle_and_is_part_of_the_sum():
+    env = TrackEnv("oval", num_envs=4, seed=0, random_start=True, reward=Reward(approach=0.5, discount=0.9))
+    check_env_specs(env)
+    rollout = env.rollout(60, break_when_any_done=False)["next"]
+    assert rollout["reward_terms"].shape == (4, 60, 5)
+    torch.testing.assert_close(rollout["reward"], rollout["reward_terms"].sum(-1, keepdim=True))
+    start = env.reset()
+    middle = env.track.gates.mean(dim=1)[start["next_gate"]]
+    before = (start["pose"][:, :2] - middle).norm(dim=-1)
+    after = env.step(start.set("action", torch.zeros(4, dtype=torch.int64)))["next"]
+    expected = 0.5 * (
+        before - 0.9 * (after["pose"][:, :2] - env.track.gates.mean(dim=1)[after["next_gate"]]).norm(dim=-1)
+    )
+    torch.testing.assert_close(after["reward_terms"][:, 4], expected, atol=1e-4, rtol=1e-4)

@@ -19,10 +19,15 @@ needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there i
 
 def make_pipeline(*overrides):
     """A pipeline whose buffer holds 800 transitions."""
-    pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", "target_updater.period=50", *overrides))
+    soft = any(override.startswith("target_updater=") for override in overrides)
+    period = [] if soft else ["target_updater.period=50"]
+    pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", *period, *overrides))
     agents = len(pipeline.agents)
     for _, batch in zip(range(25), pipeline.collector, strict=False):
-        pipeline.replay_buffer.extend(batch.view(agents, -1).transpose(0, 1).select(*KEYS))
+        transitions = batch.view(agents, -1, 1).permute(2, 1, 0).select(*KEYS)
+        kept = transitions if pipeline.returns is None else pipeline.returns(transitions)
+        if len(kept):
+            pipeline.replay_buffer.extend(kept.flatten(0, 1))
     return pipeline
 
 
@@ -53,6 +58,35 @@ def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
             tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
             for fused, plain in zip(*tensors, strict=True):
                 assert ((fused - plain).norm() / plain.norm()).item() < 1e-5
+
+
+EVERYTHING = (
+    ("network=noisy", "replay_buffer=prioritized", "returns=n_step", "target_updater=soft"),
+    ("loss=distributional", "gradient_clipping=norm", "learning_rate=linear", "learning_rate.updates=100"),
+    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping=norm"),
+)
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
+def test_whatever_an_update_is_made_with_it_is_compiled_with_the_same_numbers(overrides, caplog):
+    overrides = (*overrides, "trainer.seeds=[1,2]")
+    eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
+    torch.testing.assert_close(updated(compiled, 60), updated(eager, 60), rtol=1e-3, atol=0)
+    assert not any("eagerly" in message for message in messages(caplog))
+
+
+@pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
+def test_whatever_an_update_is_made_with_together_and_alone_the_weights_are_the_same_bit_for_bit(overrides):
+    together = make_pipeline(*overrides, "trainer.seeds=[1,2]")
+    together.learner.learn(5)
+    for index, seed in enumerate((1, 2)):
+        alone = make_pipeline(*overrides, f"seed={seed}")
+        alone.learner.learn(5)
+        pairs = zip(together.agents[index].network.parameters(), alone.agents[0].network.parameters(), strict=True)
+        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
 
 
 @needs_compiler
@@ -103,7 +137,7 @@ def test_an_interrupted_compilation_is_not_replaced_by_eager_updates(becomes, mo
                 raise CompilationError("RuntimeError: a tensordict has no truth value") from None
         return list
 
-    monkeypatch.setattr("carrl.run.learner.compile_native", compile_interrupted)
+    monkeypatch.setattr("carrl.run.native_update.compile_native", compile_interrupted)
     learner.interrupt()  # there is no compilation yet
     with pytest.raises(KeyboardInterrupt):
         learner.learn(8)

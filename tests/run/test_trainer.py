@@ -176,9 +176,9 @@ def test_evaluations_come_at_their_interval_for_any_number_of_cars(tmp_path):
 def test_a_loss_that_is_not_a_number_stops_the_run(tmp_path):
     with pytest.raises(
         CarrlError,
-        match=r"the loss is nan at update [\d,]+, frame [\d,]+, of seed 0: the rewards of its minibatch are nan to",
+        match=r"the loss is nan at update [\d,]+, frame [\d,]+, of seed 0: the rewards of its minibatch are -?\d+",
     ):
-        train(tmp_path, "reward.gate=nan", "trainer.frames=3000", "env.random_start=true")
+        train(tmp_path, "optimizer.lr=1e30", "trainer.frames=3000", "env.random_start=true")
 
 
 @pytest.mark.parametrize(
