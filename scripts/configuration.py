@@ -22,7 +22,7 @@ $ carrl train -m experiment=fast loss=dqn,double_dqn,dueling,distributional
 $ carrl train -m experiment=fast returns=one_step,n_step replay_buffer=uniform,prioritized trainer.seeds=[0..9]
 ```
 
-What each part of learning does for the first lap stands in [results.md](results.md#parts).
+What each part of learning does to the first lap stands in [results.md](results.md#parts).
 
 ## What does not go together
 
