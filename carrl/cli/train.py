@@ -66,6 +66,8 @@ def _name_files(argument: str) -> list[str]:
     key, _, value = argument.partition("=")
     if key == "track" and all("." in path or os.sep in path for path in value.strip("'\"").split(",")):
         return ["track=file", f"track.name_or_path={_quote_paths(value)}"]
+    if key == "track.folder" and value not in ("", "null"):
+        return [f"track.folder={_quote_paths(value)}"]
     if key == "data.path" and value not in ("", "???", "[]"):
         is_list = value.startswith("[") and value.endswith("]")
         return [f"data.path=[{_quote_paths(value[1:-1])}]" if is_list else f"data.path={_quote_paths(value)}"]
@@ -91,7 +93,7 @@ def _train(config: DictConfig) -> None:
             context = {}
         with _stopping_on_signals(trainer) as interrupted, display:
             trainer.run(display)
-    track = learning.world.track.name
+    track = learning.world.circuits.name
     summaries = [summarise(run, trainer, track=track, **context) for run in trainer.runs]
     for run, summary in zip(trainer.runs, summaries, strict=True):
         run.folder.write_summary(summary)
@@ -198,16 +200,16 @@ def _draw_learning_curve(run: AgentRun) -> None:
 
 
 def _draw_lap(world: World, run: AgentRun) -> None:
-    best = run.best
-    if best is not None:
+    if run.best is not None:
+        best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]
         draw_lap(
             run.folder.path / LAP,
-            world.track,
+            track,
             best.poses,
             best.ranges,
             world.sensor.angles.numpy(),
             best.actions,
             body_radius=world.vehicle.body_radius,
-            title=f"{world.track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
+            title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
             collided=best.collided,
         )

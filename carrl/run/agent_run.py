@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from carrl.errors import CarrlError
 from carrl.record.messages import Episode
-from carrl.run.evaluation import Drive
 from carrl.run.folder import RunFolder
 from carrl.run.learner import Agent
 from carrl.run.moment import Moment
+from carrl.run.trial import Trial
 
 RECENT_EPISODES = 20
 """The paper averages returns over this many episodes (figure 3)."""
@@ -17,7 +17,10 @@ RECENT_EPISODES = 20
 
 @dataclass(frozen=True)
 class FirstLap:
-    """The first complete lap of the greedy policy: after how many ended episodes, env steps and seconds."""
+    """When the greedy policy first completed its lap, or those of all circuits at once.
+
+    That is after how many ended episodes, env steps and seconds.
+    """
 
     episode: int
     frame: int
@@ -39,8 +42,8 @@ class AgentRun:
         self._recent_returns: deque[float] = deque(maxlen=RECENT_EPISODES)
         self.laps = 0
         self.first_lap: FirstLap | None = None
-        self.best: Drive | None = None
-        self.last: Drive | None = None
+        self.best: Trial | None = None
+        self.last: Trial | None = None
 
     @property
     def episodes(self) -> int:
@@ -68,8 +71,8 @@ class AgentRun:
             self.laps += episode.laps
             self.folder.add_episode(episode, self.recent_return, moment)
 
-    def add_evaluation(self, attempt: Drive, moment: Moment) -> None:
-        """Notes a greedy drive, and keeps the network that drove it and the best one so far."""
+    def add_evaluation(self, attempt: Trial, moment: Moment) -> None:
+        """Notes a trial without exploration, and keeps the network that drove it and the best one so far."""
         self.moment = moment
         self.last = attempt
         if attempt.lap_completed and self.first_lap is None:
@@ -78,12 +81,6 @@ class AgentRun:
         network = {name: value.clone() for name, value in self.agent.network.state_dict().items()}
         state = {"network": network, "frames": moment.frames, "episodes": self.episodes}
         self.folder.save_checkpoint("last", state)
-        if self.best is None or _quality(attempt) > _quality(self.best):
+        if self.best is None or attempt.quality > self.best.quality:
             self.best = attempt
             self.folder.save_checkpoint("best", state)
-
-
-def _quality(attempt: Drive) -> tuple[float, ...]:
-    """Orders drives: complete laps first, then by progress, reward and how they steer."""
-    steering = (attempt.steering_reward, attempt.forward_share)
-    return (attempt.lap_completed, attempt.progress, attempt.lap_reward, *steering)

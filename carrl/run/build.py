@@ -21,7 +21,9 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
 from carrl.run.learner import Agent, Learner
 from carrl.run.plan import EvaluationPlan, OfflinePlan, TrainingPlan
+from carrl.sim.circuits import Circuits
 from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, VehicleModel
 
@@ -30,10 +32,19 @@ from carrl.sim.vehicle import Action, VehicleModel
 class World:
     """What is simulated: everything that an evaluation needs but the policy."""
 
-    track: Track
+    circuits: Circuits
     vehicle: VehicleModel
     sensor: Sensor
     reward: Reward
+
+    @property
+    def track(self) -> Track:
+        """The first track to learn on: the only one, if there is one."""
+        return self.circuits.training[0]
+
+    def validation_simulator(self, device: torch.device | str = "cpu") -> Simulator:
+        """Where networks are tried out during training."""
+        return Simulator(self.circuits.validation, self.vehicle, self.sensor, device)
 
 
 @dataclass(frozen=True)
@@ -79,7 +90,7 @@ def build_pipeline(config: Config) -> Pipeline:
     env = build_node(
         "env",
         config["env"],
-        track=world.track,
+        track=world.circuits.training,
         vehicle=world.vehicle,
         sensor=world.sensor,
         reward=world.reward,
@@ -176,8 +187,9 @@ def _build_agent(config: Config, seed: int, device: torch.device) -> Agent:
 
 def build_world(config: Config) -> World:
     """Builds the track, car, sensors and reward that a run was, or will be, trained with."""
+    track: Track | Circuits = build_node("track", config["track"])
     return World(
-        track=build_node("track", config["track"]),
+        circuits=track if isinstance(track, Circuits) else Circuits.only(track),
         vehicle=build_node("vehicle", config["vehicle"]),
         sensor=build_node("sensor", config["sensor"]),
         reward=build_node("reward", config["reward"]),

@@ -8,8 +8,9 @@ import torch
 import carrl
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning
-from carrl.run.evaluation import Drive, drive_from
+from carrl.run.evaluation import drive_from
 from carrl.run.folder import RunFolder
+from carrl.run.trial import Trial
 from carrl.sim.simulator import Simulator
 
 
@@ -50,7 +51,10 @@ class Training:
         """Ends all runs after the present round, with everything saved."""
         self._stopping = True
 
-    def _drive(self, simulator: Simulator) -> list[Drive]:
-        """A greedy lap from the start line with every agent's network, side by side."""
-        start_line = torch.zeros(len(self.runs))
-        return drive_from(simulator, self._learning.world.reward, self._learning.policy.actions, start_line)
+    def _drive(self, simulator: Simulator) -> list[Trial]:
+        """A greedy lap of every validation circuit from its start line with every agent's network, side by side."""
+        circuits = len(self._learning.world.circuits.validation)
+        track = torch.arange(circuits).repeat(len(self.runs))
+        policy = self._learning.policy.actions
+        drives = drive_from(simulator, self._learning.world.reward, policy, torch.zeros(len(track)), track)
+        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]

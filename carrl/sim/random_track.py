@@ -26,6 +26,10 @@ LENGTH_PER_RADIUS = 10.0
 LARGEST = 1e4
 """No radius, width or length may exceed this, m."""
 POINT_SPACING = 2.0
+MOST_WIDENING = 5.0
+"""The largest share by which either half of a road may be wider in places than where it is narrowest."""
+SHORTEST_SWELL = 80.0
+"""Length of the shortest of the waves that make up a road's changes of width, m."""
 MOST_DRAWS = 1000
 """How many circuits are drawn until one fits."""
 
@@ -45,8 +49,17 @@ class Measures:
     length: float
 
 
-def random_centrelines(seed: int, corner_radius: Range, width: Range, length: Range) -> Iterator[Centreline]:
+def random_centrelines(
+    seed: int, corner_radius: Range, width: Range, length: Range, widening: float = 0.0
+) -> Iterator[Centreline]:
     """Circuits of the same measures, drawn from one seed, as long as one is asked for; a few have legs that overlap.
+
+    Args:
+        seed: a whole number from 0 on.
+        corner_radius: see `Measures`, as for `width` and `length`.
+        width: where the road is narrowest.
+        length: of the centreline.
+        widening: how much wider either half of the road may be in places, as a share of itself.
 
     Raises:
         TrackError: a value is no number or range, or no circuit has these measures.
@@ -54,13 +67,31 @@ def random_centrelines(seed: int, corner_radius: Range, width: Range, length: Ra
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise TrackError(f"a random track: seed is {seed!r}; it must be a whole number from 0 on")
     random = np.random.default_rng(seed)
+    if isinstance(widening, bool) or not 0 <= widening <= MOST_WIDENING:
+        raise TrackError(
+            f"a random track: widening is {widening!r}; it must be a share between 0 and {MOST_WIDENING:g}"
+        )
     measures = _draw_measures(random, corner_radius, width, length)
     half_width = measures.width / 2
     for _ in range(MOST_DRAWS):
         points = _round_corners(random, _draw_corners(random, measures), measures)
         if points is not None:
-            sides = np.full(len(points), half_width)
-            yield Centreline(points, width_right=sides, width_left=sides)
+            right, left = (half_width * (1 + widening * _draw_swell(random, len(points), widening)) for _ in range(2))
+            yield Centreline(points, width_right=right, width_left=left)
+
+
+def _draw_swell(random: np.random.Generator, count: int, widening: float) -> np.ndarray:
+    """How much of its widening the road has at each of so many points, [P], in 0..1; smooth, and 0 for half of them.
+
+    Draws nothing where nothing is widened, so that the circuits of a seed stay as they are.
+    """
+    if widening == 0:
+        return np.zeros(count)
+    along = 2 * math.pi * np.arange(count) / count
+    waves = np.arange(1, max(2, round(count * POINT_SPACING / SHORTEST_SWELL) + 1))
+    sizes, phases = random.standard_normal(len(waves)), random.uniform(0, 2 * math.pi, len(waves))
+    swell = (sizes[:, None] * np.sin(waves[:, None] * along + phases[:, None])).sum(axis=0)
+    return np.asarray(np.maximum(swell, 0) / max(float(swell.max()), 1e-12))
 
 
 def _draw_measures(random: np.random.Generator, corner_radius: Range, width: Range, length: Range) -> Measures:

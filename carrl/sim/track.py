@@ -93,6 +93,7 @@ class Track:
         width: float | Sequence[float] = WIDTH,
         length: float | Sequence[float] = LENGTH,
         gate_spacing: float | None = None,
+        widening: float = 0.0,
     ) -> "Track":
         """A circuit with straights, hairpins and bends to both sides; the same seed and ranges draw the same one.
 
@@ -102,6 +103,7 @@ class Track:
             width: from wall to wall, m: a number or a range.
             length: of the centreline, m: a number or a range.
             gate_spacing: about how far the gates stand apart, m; by default `DEFAULT_GATE_SPACING`.
+            widening: how much wider either half of the road may be in places, as a share; 0 for a road of one width.
 
         Raises:
             TrackError: a value is no such number or range, or no circuit has these measures.
@@ -110,7 +112,7 @@ class Track:
 
         name = f"random-{seed}"
         _check_gate_spacing(name, gate_spacing)
-        for centreline in random_centrelines(seed, corner_radius, width, length):
+        for centreline in random_centrelines(seed, corner_radius, width, length, widening):
             track = Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING)
             if not inspect_track(track, body_radius=0.0).faults:
                 return track

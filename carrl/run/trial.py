@@ -1,0 +1,56 @@
+"""How well a network drives: a greedy lap of the training track, or of each circuit kept for validation."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from carrl.run.evaluation import Drive
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Drives of one network.
+
+    Attributes:
+        drives: one for each circuit, in the order of `Circuits.validation`.
+    """
+
+    drives: tuple[Drive, ...]
+
+    @property
+    def laps_completed(self) -> int:
+        """On how many circuits the lap was completed."""
+        return sum(drive.lap_completed for drive in self.drives)
+
+    @property
+    def lap_completed(self) -> bool:
+        """Whether it was on every one."""
+        return self.laps_completed == len(self.drives)
+
+    @property
+    def shown(self) -> int:
+        """Which drive to look at: the first one of those with the least progress."""
+        return min(range(len(self.drives)), key=lambda index: self.drives[index].progress)
+
+    @property
+    def quality(self) -> tuple[float, ...]:
+        """Orders trials: complete laps first, then by progress, reward and how they steer."""
+        others = ("progress", "lap_reward", "steering_reward", "forward_share")
+        return (self.laps_completed, *(self._mean(name) for name in others))
+
+    def measures(self) -> dict[str, Any]:
+        """The figures, ready for JSON: of several drives the means, and how many there are and were laps."""
+        first, *others = (drive.measures() for drive in self.drives)
+        if not others:
+            return first
+        means = {name: self._mean(name) for name in first}
+        return {
+            **means,
+            "lap_completed": self.lap_completed,
+            "collided": any(drive.collided for drive in self.drives),
+            "circuits": len(self.drives),
+            "laps_completed": self.laps_completed,
+        }
+
+    def _mean(self, name: str) -> float:
+        return math.fsum(getattr(drive, name) for drive in self.drives) / len(self.drives)
