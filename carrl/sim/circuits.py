@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from carrl.errors import TrackError
-from carrl.sim.random_track import CORNER_RADIUS, LENGTH, WIDTH
+from carrl.sim.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
 from carrl.sim.track import Track
 
 CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
@@ -47,6 +47,7 @@ def make_circuits(
     length: float | Sequence[float] = LENGTH,
     gate_spacing: float | None = None,
     widening: float = 0.0,
+    corner_spacing: float | Sequence[float] = CORNER_SPACING,
     folder: str | None = None,
 ) -> Circuits:
     """Random circuits to learn on, with the circuits of a folder if one is named, and other random ones for trials.
@@ -55,11 +56,12 @@ def make_circuits(
         count: how many random circuits to learn on.
         validation: how many to be tried out on; from the seeds that follow those of the first ones.
         seed: of the first random circuit; the next one is drawn from the next seed, and so on.
-        corner_radius: see `Track.random`, as for `width`, `length`, `gate_spacing` and `widening`, m.
+        corner_radius: see `Track.random`, as for `width`, `length`, `gate_spacing`, `widening` and `corner_spacing`.
         width: from wall to wall, m.
         length: of the centreline, m.
         gate_spacing: about how far the gates stand apart, m, also in the folder's circuits.
         widening: how much wider either half of a random road may be in places, as a share.
+        corner_spacing: about how far corners stand apart, in least radii.
         folder: whose circuits to learn on, too; None for none.
 
     Raises:
@@ -71,7 +73,7 @@ def make_circuits(
             f"together at most {MOST_CIRCUITS}"
         )
     drawn = [
-        Track.random(each, corner_radius, width, length, gate_spacing, widening)
+        Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing)
         for each in range(seed, seed + count + validation)
     ]
     named = [] if folder is None else [Track.load(path, gate_spacing) for path in circuit_files(Path(folder))]

@@ -19,6 +19,7 @@ from carrl.sim.centreline import Centreline
 CORNER_RADIUS = (8.0, 20.0)
 WIDTH = (6.0, 12.0)
 LENGTH = (200.0, 800.0)
+CORNER_SPACING = (1.5, 3.0)
 RADIUS_MARGIN = 1.0
 """The least radius of the centreline exceeds half the width by this, so that the inner wall has a radius, too, m."""
 LENGTH_PER_RADIUS = 10.0
@@ -50,7 +51,12 @@ class Measures:
 
 
 def random_centrelines(
-    seed: int, corner_radius: Range, width: Range, length: Range, widening: float = 0.0
+    seed: int,
+    corner_radius: Range,
+    width: Range,
+    length: Range,
+    widening: float = 0.0,
+    corner_spacing: Range = CORNER_SPACING,
 ) -> Iterator[Centreline]:
     """Circuits of the same measures, drawn from one seed, as long as one is asked for; a few have legs that overlap.
 
@@ -60,6 +66,7 @@ def random_centrelines(
         width: where the road is narrowest.
         length: of the centreline.
         widening: how much wider either half of the road may be in places, as a share of itself.
+        corner_spacing: about how far corners stand apart, in least radii.
 
     Raises:
         TrackError: a value is no number or range, or no circuit has these measures.
@@ -72,9 +79,10 @@ def random_centrelines(
             f"a random track: widening is {widening!r}; it must be a share between 0 and {MOST_WIDENING:g}"
         )
     measures = _draw_measures(random, corner_radius, width, length)
+    spacing = _as_range("corner_spacing", corner_spacing, "least radii")
     half_width = measures.width / 2
     for _ in range(MOST_DRAWS):
-        points = _round_corners(random, _draw_corners(random, measures), measures)
+        points = _round_corners(random, _draw_corners(random, measures, spacing), measures)
         if points is not None:
             right, left = (half_width * (1 + widening * _draw_swell(random, len(points), widening)) for _ in range(2))
             yield Centreline(points, width_right=right, width_left=left)
@@ -118,20 +126,20 @@ def _draw_measures(random: np.random.Generator, corner_radius: Range, width: Ran
     return Measures(drawn_radius, drawn_width, drawn_length)
 
 
-def _as_range(name: str, value: Range) -> tuple[float, float]:
+def _as_range(name: str, value: Range, unit: str = "metres") -> tuple[float, float]:
     ends = value if isinstance(value, Sequence) and not isinstance(value, str) else (value, value)
     numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
     if len(ends) != 2 or not numbers or not 0 < ends[0] <= ends[1] <= LARGEST:
         raise TrackError(
-            f"a random track: {name} is {value!r}; it must be a number of metres or a range [low, high], "
+            f"a random track: {name} is {value!r}; it must be a number of {unit} or a range [low, high], "
             f"positive and at most {LARGEST:g}"
         )
     return float(ends[0]), float(ends[1])
 
 
-def _draw_corners(random: np.random.Generator, measures: Measures) -> np.ndarray:
+def _draw_corners(random: np.random.Generator, measures: Measures, spacing: tuple[float, float]) -> np.ndarray:
     """Corners [N, 2] of a polygon in the unit of a cell, turned, stretched and, for half of them, clockwise."""
-    cell_size = measures.corner_radius * random.uniform(1.5, 3.0)
+    cell_size = measures.corner_radius * random.uniform(*spacing)
     cells = _grow_shape(random, max(1, min(200, round(measures.length / cell_size / 2 - 1))))
     outline = np.array(_outline(cells), dtype=np.float64)
     ways = np.roll(outline, -1, axis=0) - outline

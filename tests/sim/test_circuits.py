@@ -3,6 +3,7 @@
 import math
 
 import pytest
+import torch
 
 from carrl.errors import TrackError
 from carrl.sim.circuits import circuit_files, make_circuits
@@ -74,3 +75,18 @@ def test_a_road_that_is_not_widened_is_drawn_as_ever():
     assert (track.left_wall == Track.random(3).left_wall).all()
     widths = (track.left_wall - track.right_wall).norm(dim=1)
     assert widths.max().item() == pytest.approx(widths.min().item(), abs=1e-3)
+
+
+def test_corners_that_stand_further_apart_leave_longer_straights():
+    def straight_share(spacing):
+        tracks = [Track.random(seed, corner_radius=10.0, length=1000.0, corner_spacing=spacing) for seed in range(8)]
+        headings = [track.pose_at(torch.arange(0, track.length, 5.0).double())[:, 2] for track in tracks]
+        turns = torch.cat([each.diff() for each in headings]).sin()
+        return (turns.abs() < 0.02).double().mean().item()
+
+    assert straight_share(8.0) > 1.3 * straight_share([1.5, 3.0])
+
+
+def test_corners_cannot_stand_no_distance_apart():
+    with pytest.raises(TrackError, match="corner_spacing is 0; it must be a number of least radii or a range"):
+        Track.random(0, corner_spacing=0)
