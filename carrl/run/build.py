@@ -156,6 +156,7 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
     plan: TrainingPlan = build_node("trainer", config["trainer"])
     seeds = plan.agent_seeds(config["seed"])
     world = build_world(config)
+    frames_per_update = 1 if learns_from_logs(config) else plan.frames_per_update
     agents = [_build_agent(config, seed, device) for seed in seeds]
     replay_buffer = build_node(
         "replay_buffer",
@@ -168,7 +169,7 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
         agents=agents,
         policy=GreedyPolicy([agent.network for agent in agents], observes_action(config)),
         replay_buffer=replay_buffer,
-        learner=Learner(agents, replay_buffer, compiled=compiled),
+        learner=Learner(agents, replay_buffer, compiled=compiled, frames_per_update=frames_per_update),
         plan=plan,
     )
 

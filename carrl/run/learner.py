@@ -53,19 +53,24 @@ class Learner:
         agents: alike in everything but their values.
         buffer: with the memories of all agents.
         compiled: make the updates natively. Where that cannot be done, they run eagerly, and one line says why.
+        frames_per_update: env steps of each agent for one update of its network.
     """
 
-    def __init__(self, agents: Sequence[Agent], buffer: TensorDictReplayBuffer, *, compiled: bool) -> None:
+    def __init__(
+        self, agents: Sequence[Agent], buffer: TensorDictReplayBuffer, *, compiled: bool, frames_per_update: int = 1
+    ) -> None:
         """Compiles nothing yet: the buffer's shape is unknown while it is empty."""
         self._agents, self._buffer = agents, buffer
         self._compiles = compiled
+        self._frames_per_update = frames_per_update
+        self._frames_waiting = 0
         self._native: _NativeUpdate | None = None
         self.updates = 0
         self.first_update_at: float | None = None
         self.losses = torch.full([len(agents)], math.nan)
 
     def learn(self, frames: int) -> None:
-        """One update for each of the next `frames` env steps, if there is a batch to sample; the targets follow.
+        """The updates for the next `frames` env steps, if there is a batch to sample; the targets follow.
 
         Afterwards `losses` [A] are those before the last update, `updates` counts them all, and `first_update_at` is
         the monotonic time of the first one in the way that all later ones are made, compiled or not.
@@ -73,7 +78,9 @@ class Learner:
         while frames > 0:
             count = min(frames, *(agent.target_updater.steps_left for agent in self._agents))
             if len(self._buffer) >= self._batch_size:
-                self._update(count)
+                updates, self._frames_waiting = divmod(self._frames_waiting + count, self._frames_per_update)
+                if updates:
+                    self._update(updates)
             for agent in self._agents:
                 agent.target_updater.step(count)
             frames -= count

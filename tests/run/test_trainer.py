@@ -229,3 +229,14 @@ def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_pa
     for index, seed in enumerate((3, 4)):
         alone, _ = train(tmp_path / f"alone-{seed}", *CIRCUITS, f"seed={seed}")
         assert together.runs[index].last.measures() == alone.runs[0].last.measures()
+
+
+def test_several_env_steps_may_share_an_update(tmp_path):
+    _, pipeline = train(tmp_path, "trainer.frames_per_update=5", "replay_buffer.batch_size=32")
+    # As above, the round that fills the buffer counts: 400 - 24 env steps, of which the last one waits.
+    assert pipeline.learner.updates == (400 - 32 + 8) // 5
+
+
+def test_fewer_than_one_env_step_for_an_update_is_refused():
+    with pytest.raises(ConfigError, match=r"trainer\.frames_per_update is 0; it must be at least 1"):
+        TrainingPlan(1, 1, frames_per_update=0)
