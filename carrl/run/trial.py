@@ -39,13 +39,14 @@ class Trial:
         return (self.laps_completed, *(self._mean(name) for name in others))
 
     def measures(self) -> dict[str, Any]:
-        """The figures, ready for JSON: of several drives the means, and how many there are and were laps."""
+        """The figures, ready for JSON: of several drives the means, of counts rounded, and how many are laps."""
         first, *others = (drive.measures() for drive in self.drives)
         if not others:
             return first
         means = {name: self._mean(name) for name in first}
         return {
             **means,
+            **{name: round(means[name]) for name in ("lap_steps", "reversals")},
             "lap_completed": self.lap_completed,
             "collided": any(drive.collided for drive in self.drives),
             "circuits": len(self.drives),
