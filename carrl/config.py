@@ -12,7 +12,7 @@ from hydra.utils import get_object
 from carrl.errors import ConfigError, shown
 
 TARGETS: Mapping[str, tuple[str, ...]] = {
-    "track": ("carrl.sim.track.Track.load", "carrl.sim.track.Track.random"),
+    "track": ("carrl.sim.track.Track.load", "carrl.sim.track.Track.random", "carrl.sim.circuits.make_circuits"),
     "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
     "sensor": ("carrl.sim.sensor.Sensor",),
     "reward": ("carrl.env.reward.Reward",),

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torchrl.modules import QValueActor
 
+from carrl.agent.network import Power
 from carrl.agent.stack import stack_in_place
 from carrl.env.observation import observe
 
@@ -76,4 +77,6 @@ class GreedyPolicy(TensorDictModuleBase):
 
 def _is_simple(layer: nn.Module) -> bool:
     """Whether a layer is linear and no more than that, or does the same to each value."""
-    return (type(layer) is nn.Linear and layer.bias is not None) or isinstance(layer, nn.ReLU | nn.Tanh | nn.ELU)
+    return (type(layer) is nn.Linear and layer.bias is not None) or isinstance(
+        layer, nn.ReLU | nn.Tanh | nn.ELU | Power
+    )

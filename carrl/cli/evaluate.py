@@ -1,61 +1,84 @@
-"""`carrl evaluate`: drives a trained policy, or a baseline, on any track."""
+"""`carrl evaluate`: drives a trained policy, or a baseline, on any track, with a hand-written rule beside it."""
 
 import argparse
-import dataclasses
 import json
-import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from carrl.run.build import World, build_world
-from carrl.run.evaluation import Drive, Policy, drive, random_policy, rule_policy
-from carrl.run.folder import load_config, load_greedy_policy
+from carrl.cli.evaluation_table import print_evaluation
+from carrl.run.build import build_world
+from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
+from carrl.run.folder import load_config, load_greedy_policy, seed_folders
 from carrl.run.plan import checked_seed
-from carrl.sim.simulator import Simulator
+from carrl.run.survey import Survey
+from carrl.run.tally import tally
+from carrl.sim.circuits import circuit_files
 from carrl.sim.track import Track
-from carrl.view.console import print_table
 
-COLUMNS = {
-    "lap_reward": "lap reward",
-    "lap_steps": "steps",
-    "forward_share": "forward share",
-    "switches_per_100m": "switches / 100 m",
-    "near_wall_share": "near-wall share",
-}
-"""Measures of a drive that are averaged over the start places, and their headings."""
+Laps = list[list[Drive]]
+"""The drives of each track."""
 
 
 def main(argv: list[str]) -> int:
-    """Prints a row for each track, or one JSON document."""
+    """Prints rows for each track, or one JSON document."""
     arguments = _parser().parse_args(argv)
     torch.set_num_threads(1)
-    run = Path(arguments.run)
-    config = load_config(run)
-    world = build_world(config)
-    tracks = [Track.load(name) for name in arguments.track] or [world.track]
-    policy = _make_policy(arguments.policy, run, arguments.checkpoint, config)
-    results = [_evaluate(dataclasses.replace(world, track=track), policy, arguments.starts) for track in tracks]
+    runs = seed_folders(Path(arguments.run))
+    if arguments.policy != "greedy":
+        runs = runs[:1]  # of which the others differ in nothing that drives
+    configs = [load_config(run) for run in runs]
+    world = build_world(configs[0])
+    tracks = [track for name in arguments.track for track in _load_tracks(name)] or list(world.circuits.validation)
+    survey = Survey(world, tracks, arguments.starts)
+    policies = [
+        _make_policy(arguments.policy, run, arguments.checkpoint, config)
+        for run, config in zip(runs, configs, strict=True)
+    ]
+    laps = [survey.drive(policy) for policy in policies]
+    rule = survey.drive(rule_policy) if arguments.policy != "rule" else None
+    document = {
+        "run": arguments.run,
+        "policy": arguments.policy,
+        **_figures(tracks, laps, rule, world.vehicle.step_length),
+    }
+    if len(runs) > 1:
+        document["runs"] = [
+            {"run": str(run), "seed": config["seed"], **_figures(tracks, [own], None, world.vehicle.step_length)}
+            for run, config, own in zip(runs, configs, laps, strict=True)
+        ]
     if arguments.json:
-        print(json.dumps({"run": str(run), "policy": arguments.policy, "tracks": results}, indent=2))
+        print(json.dumps(document, indent=2))
     else:
-        header = ("track", "laps", "progress", *COLUMNS.values())
-        print_table(f"{arguments.policy} policy of {run}", header, [_row(result) for result in results])
+        print_evaluation(document)
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="carrl evaluate", description="Drives a run's policy without exploration.")
-    parser.add_argument("run", metavar="RUN", help="the folder of a run")
+    parser = argparse.ArgumentParser(
+        prog="carrl evaluate",
+        description="Drives a run's policy without exploration, and a hand-written rule with the same car and sensors.",
+    )
+    parser.add_argument("run", metavar="RUN", help="the folder of a run, or of a run of several seeds for all of them")
     parser.add_argument(
-        "--track", action="append", default=[], metavar="NAME|FILE", help="default: the run's own; may be repeated"
+        "--track",
+        action="append",
+        default=[],
+        metavar="NAME|FILE|FOLDER",
+        help="a folder stands for all circuits in it; default: where the run was tried out; may be repeated",
     )
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="start places, spread along the track")
     parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
     parser.add_argument("--checkpoint", choices=("best", "last"), default="best", help="which of the run's networks")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     return parser
+
+
+def _load_tracks(name: str) -> list[Track]:
+    path = Path(name)
+    return [Track.load(file) for file in circuit_files(path)] if path.is_dir() else [Track.load(name)]
 
 
 def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:
@@ -66,31 +89,21 @@ def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any]) 
     return load_greedy_policy(run, checkpoint, config)
 
 
-def _evaluate(world: World, policy: Policy, starts: int) -> dict[str, Any]:
-    simulator = Simulator(world.track, world.vehicle, world.sensor)
-    drives = drive(simulator, world.reward, policy, starts)
-    return {
-        "track": world.track.name,
-        "length_m": world.track.length,
-        "starts": starts,
-        "laps_completed": sum(attempt.lap_completed for attempt in drives),
-        **{name: _mean(drives, name) for name in ("progress", *COLUMNS)},
-        "drives": [attempt.measures() for attempt in drives],
-    }
+def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_length: float) -> dict[str, Any]:
+    """The figures of each track and of all, each with those of the rule."""
 
+    def beside(laps: Laps | None) -> dict[str, Any]:
+        return {} if laps is None else {"rule": tally([[each for own in laps for each in own]], step_length)}
 
-def _mean(drives: list[Drive], name: str) -> float:
-    return math.fsum(getattr(attempt, name) for attempt in drives) / len(drives)
-
-
-def _row(result: dict[str, Any]) -> list[str]:
-    return [
-        result["track"],
-        f"{result['laps_completed']}/{result['starts']}",
-        f"{result['progress']:.1%}",
-        f"{result['lap_reward']:.0f}",
-        f"{result['lap_steps']:.0f}",
-        f"{result['forward_share']:.0%}",
-        f"{result['switches_per_100m']:.1f}",
-        f"{result['near_wall_share']:.1%}",
+    of_tracks = [
+        {
+            "track": track.name,
+            "length_m": track.length,
+            **tally([laps[index] for laps in runs], step_length),
+            "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
+            **beside(rule and [rule[index]]),
+        }
+        for index, track in enumerate(tracks)
     ]
+    everything = [[each for own in laps for each in own] for laps in runs]
+    return {"tracks": of_tracks, "all": {**tally(everything, step_length), **beside(rule)}}

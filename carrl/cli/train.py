@@ -94,6 +94,8 @@ def _name_files(argument: str) -> list[str]:
     key, _, value = argument.partition("=")
     if key == "track" and all("." in path or os.sep in path for path in value.strip("'\"").split(",")):
         return ["track=file", f"track.name_or_path={_quote_paths(value)}"]
+    if key == "track.folder" and value not in ("", "null"):
+        return [f"track.folder={_quote_paths(value)}"]
     if key == "data.path" and value not in ("", "???", "[]"):
         is_list = value.startswith("[") and value.endswith("]")
         return [f"data.path=[{_quote_paths(value[1:-1])}]" if is_list else f"data.path={_quote_paths(value)}"]

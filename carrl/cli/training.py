@@ -154,7 +154,7 @@ def _as_yaml(config: Config) -> str:
 
 
 def _write_summaries(session: Session) -> list[dict[str, Any]]:
-    track, trainer = session.learning.world.track.name, session.trainer
+    track, trainer = session.learning.world.circuits.name, session.trainer
     summaries = [summarise(run, trainer, track=track, **session.context) for run in trainer.runs]
     for run, summary in zip(trainer.runs, summaries, strict=True):
         run.folder.write_summary(summary)
@@ -189,18 +189,18 @@ def _draw_learning_curve(run: AgentRun) -> None:
 
 
 def _draw_lap(world: World, run: AgentRun) -> None:
-    from carrl.view.lap import draw_lap  # Here, since Matplotlib takes long to import.
+    from carrl.view.lap import draw_lap  # brings Matplotlib
 
-    best = run.best
-    if best is not None:
+    if run.best is not None:
+        best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]
         draw_lap(
             run.folder.path / LAP,
-            world.track,
+            track,
             best.poses,
             best.ranges,
             world.sensor.angles.numpy(),
             best.actions,
             body_radius=world.vehicle.body_radius,
-            title=f"{world.track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
+            title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
             collided=best.collided,
         )

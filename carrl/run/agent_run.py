@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from carrl.record.messages import Episode
-from carrl.run.evaluation import Drive
 from carrl.run.folder import RunFolder
 from carrl.run.learner import Agent
 from carrl.run.moment import Moment
+from carrl.run.trial import Trial
 
 RECENT_EPISODES = 20
 """The paper averages returns over this many episodes (figure 3)."""
@@ -17,7 +17,10 @@ RECENT_EPISODES = 20
 
 @dataclass(frozen=True)
 class FirstLap:
-    """The first complete lap of the greedy policy: after how many ended episodes, env steps and seconds."""
+    """When the greedy policy first completed its lap, or those of all circuits at once.
+
+    That is after how many ended episodes, env steps and seconds.
+    """
 
     episode: int
     frame: int
@@ -39,8 +42,8 @@ class AgentRun:
         self._recent_returns: deque[float] = deque(maxlen=RECENT_EPISODES)
         self.laps = 0
         self.first_lap: FirstLap | None = None
-        self.best: Drive | None = None
-        self.last: Drive | None = None
+        self.best: Trial | None = None
+        self.last: Trial | None = None
         self._checkpoints: dict[str, dict[str, Any]] = {}
 
     def state_dict(self) -> dict[str, Any]:
@@ -63,7 +66,7 @@ class AgentRun:
         self.laps = state["laps"]
         self.first_lap = FirstLap(**state["first_lap"]) if state["first_lap"] else None
         self.best, self.last = (
-            Drive.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
+            Trial.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
         )
         self._checkpoints = dict(state["checkpoints"])
         self.write_checkpoints()
@@ -92,15 +95,15 @@ class AgentRun:
             self.laps += episode.laps
             self.folder.add_episode(episode, self.recent_return, moment)
 
-    def add_evaluation(self, attempt: Drive, moment: Moment) -> None:
-        """Notes a greedy drive, and keeps the network that drove it and the best one so far."""
+    def add_evaluation(self, attempt: Trial, moment: Moment) -> None:
+        """Notes a trial without exploration, and keeps the network that drove it and the best one so far."""
         self.moment = moment
         self.last = attempt
         if attempt.lap_completed and self.first_lap is None:
             self.first_lap = FirstLap(self.episodes, moment.frames, moment.wall_time_s)
         self.folder.add_evaluation(attempt, moment.frames, self.episodes)
         self.keep_network("last", moment)
-        if self.best is None or _quality(attempt) > _quality(self.best):
+        if self.best is None or attempt.quality > self.best.quality:
             self.best = attempt
             self.keep_network("best", moment)
 
@@ -109,9 +112,3 @@ class AgentRun:
         network = {key: value.clone() for key, value in self.agent.network.state_dict().items()}
         self._checkpoints[name] = {"network": network, "frames": moment.frames, "episodes": self.episodes}
         self.folder.save_checkpoint(name, self._checkpoints[name])
-
-
-def _quality(attempt: Drive) -> tuple[float, ...]:
-    """Orders drives: complete laps first, then by progress, reward and how they steer."""
-    steering = (attempt.steering_reward, attempt.forward_share)
-    return (attempt.lap_completed, attempt.progress, attempt.lap_reward, *steering)

@@ -24,7 +24,9 @@ from carrl.errors import ConfigError, shown
 from carrl.run.combinations import check_offline, check_priorities
 from carrl.run.learner import Agent, Learner
 from carrl.run.plan import EvaluationPlan, OfflinePlan, TrainingPlan
+from carrl.sim.circuits import Circuits
 from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, VehicleModel
 
@@ -33,10 +35,19 @@ from carrl.sim.vehicle import Action, VehicleModel
 class World:
     """What is simulated: everything that an evaluation needs but the policy."""
 
-    track: Track
+    circuits: Circuits
     vehicle: VehicleModel
     sensor: Sensor
     reward: Reward
+
+    @property
+    def track(self) -> Track:
+        """The first track to learn on: the only one, if there is one."""
+        return self.circuits.training[0]
+
+    def validation_simulator(self, device: torch.device | str = "cpu") -> Simulator:
+        """Where networks are tried out during training."""
+        return Simulator(self.circuits.validation, self.vehicle, self.sensor, device)
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,7 @@ def build_pipeline(config: Config) -> Pipeline:
     env = build_node(
         "env",
         config["env"],
-        track=world.track,
+        track=world.circuits.training,
         vehicle=world.vehicle,
         sensor=world.sensor,
         reward=world.reward,
@@ -151,6 +162,7 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
     plan: TrainingPlan = build_node("trainer", config["trainer"])
     seeds = plan.agent_seeds(config["seed"])
     world = build_world(config)
+    frames_per_update = 1 if learns_from_logs(config) else plan.frames_per_update
     agents = [_build_agent(config, seed, device) for seed in seeds]
     replay_buffer = build_node(
         "replay_buffer",
@@ -164,7 +176,7 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
         agents=agents,
         policy=GreedyPolicy([agent.network for agent in agents], observes_action(config)),
         replay_buffer=replay_buffer,
-        learner=Learner(agents, replay_buffer, compiled=compiled),
+        learner=Learner(agents, replay_buffer, compiled=compiled, frames_per_update=frames_per_update),
         plan=plan,
     )
 
@@ -192,8 +204,9 @@ def _build_optional(config: Config, name: str, **dependencies: Any) -> Any:
 
 def build_world(config: Config) -> World:
     """Builds the track, car, sensors and reward that a run was, or will be, trained with."""
+    track: Track | Circuits = build_node("track", config["track"])
     return World(
-        track=build_node("track", config["track"]),
+        circuits=track if isinstance(track, Circuits) else Circuits.only(track),
         vehicle=build_node("vehicle", config["vehicle"]),
         sensor=build_node("sensor", config["sensor"]),
         reward=build_node("reward", config["reward"]),

@@ -3,6 +3,7 @@
 Shapes: `A` agents, `N` cars of each, `B` = A * N cars in all, agent by agent; `T` steps of each car in a batch.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,16 @@ class EpisodeTracker:
         frames: env steps of each agent.
     """
 
-    def __init__(self, agents: int, num_envs: int, gates_per_lap: int, time_step: float) -> None:
-        """Begins with the first episode of every car; `time_step` is that of the simulation, s."""
-        self._gates_per_lap = gates_per_lap
+    def __init__(self, agents: int, num_envs: int, gates_per_lap: int | Sequence[int], time_step: float) -> None:
+        """Begins with the first episode of every car.
+
+        Args:
+            agents: how many.
+            num_envs: cars of each.
+            gates_per_lap: of every track; or one number for each track.
+            time_step: of the simulation, s.
+        """
+        self._gates_per_lap = np.atleast_1d(gates_per_lap)
         self._time_step = time_step
         self._cars = num_envs
         self._env = np.tile(np.arange(num_envs), agents)
@@ -81,18 +89,18 @@ class EpisodeTracker:
 
     def _end(self, car: int, after: dict[str, Any], pose: tuple[float, float, float]) -> Episode:
         """Sums up a car's episode from its last step and begins the next."""
-        gates = int(after["gates_passed"])
+        gates, track = int(after["gates_passed"]), int(after["track"])
         episode = Episode(
             episode=int(self._episode[car]),
             env=int(self._env[car]),
-            track=int(after["track"]),
+            track=track,
             frame=self.frames,
             begin_ns=int(self._begin_ns[car]),
             end_ns=self.time_ns,
             episode_return=float(self._return[car]),
             length=int(after["step"]),
             gates=gates,
-            laps=gates // self._gates_per_lap,
+            laps=gates // int(self._gates_per_lap[track]),
             ended="collision" if after["terminated"] else "time limit",
             end_pose=pose,
         )

@@ -111,45 +111,70 @@ def random_policy(seed: int) -> Policy:
 
 
 def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1) -> list[Drive]:
-    """Drives one lap from each of `starts` places, spread evenly along the track from the start line on.
+    """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
+
+    The places are spread evenly along the track, from the start line on.
 
     Raises:
         ConfigError: fewer than one start place, or a drive takes too many steps.
     """
     if starts < 1:
         raise ConfigError(f"starts is {starts}; it must be at least 1")
-    return drive_from(simulator, reward, policy, torch.arange(starts) * simulator.track.length / starts)
+    stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
+    track = torch.arange(len(stations)).repeat_interleave(starts)
+    return drive_from(simulator, reward, policy, torch.cat(stations), track)
 
 
-def drive_from(simulator: Simulator, reward: Reward, policy: Policy, stations: Tensor) -> list[Drive]:
-    """Drives one lap from each of these places, m along the centreline, [B].
+def drive_from(
+    simulator: Simulator, reward: Reward, policy: Policy, stations: Tensor, track: Tensor | None = None
+) -> list[Drive]:
+    """Drives one lap from each of these places.
+
+    Args:
+        simulator: what moves the cars.
+        reward: what a step earns.
+        policy: what to do.
+        stations: of the starts, m along the centreline, [B].
+        track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
 
     Raises:
         ConfigError: that takes too many steps.
     """
     stations = stations.double()
-    steps = round(TIME_LIMIT_LAPS * simulator.lap_steps)
-    if steps > MOST_STEPS or steps * len(stations) * simulator.sensor.rays > MOST_READINGS:
-        raise ConfigError(
-            f"a lap of track '{simulator.track.name}' may take {steps} steps with {simulator.sensor.rays} rays from "
-            f"each of {len(stations)} places, more than can be kept; "
-            "make the car faster or its time step longer, or drive from fewer places"
-        )
-    state = simulator.start(stations)
+    state = simulator.start(stations, track)
+    limits = _time_limits(simulator, state)
+    _check_limits(limits, simulator)
     ranges = simulator.sense(state)
     streams = RandomStreams([SENSOR_SEED], len(stations))
     nothing = torch.zeros_like(state.next_gate)
     outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], [nothing + FIRST_ACTION]
     driving = ~nothing.bool()
-    for _ in range(steps):
+    for step in range(1, int(limits.max()) + 1):
         action = policy(read(simulator.sensor, outcomes[-1].ranges, streams), actions[-1])
         outcome = simulator.step(outcomes[-1].state, action)
         actions.append(action)
         outcomes.append(outcome)
-        driving &= ~_has_ended(outcome, simulator)
+        driving &= ~_has_ended(outcome, simulator) & (step < limits)
         if not driving.any():
             break
-    return _sum_up(_stack(outcomes), torch.stack(actions), simulator, reward, stations)
+    return _sum_up(_stack(outcomes), torch.stack(actions), limits, simulator, reward, stations)
+
+
+def _time_limits(simulator: Simulator, state: State) -> Tensor:
+    """Steps after which each car is stopped, [B], int64."""
+    lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
+    return (TIME_LIMIT_LAPS * lap_steps).round().long().to(state.track.device)[state.track]
+
+
+def _check_limits(limits: Tensor, simulator: Simulator) -> None:
+    """Raises ConfigError for drives of more steps and readings than can be kept."""
+    steps, rays = int(limits.max()), simulator.sensor.rays
+    if steps > MOST_STEPS or steps * len(limits) * rays > MOST_READINGS:
+        names = ", ".join(track.name for track in simulator.tracks[:3])
+        raise ConfigError(
+            f"a lap of track '{names}' may take {steps} steps with {rays} rays from each of {len(limits)} places, more "
+            "than can be kept; make the car faster or its time step longer, or drive from fewer places"
+        )
 
 
 def _has_ended(outcome: Outcome, simulator: Simulator) -> Tensor:
@@ -162,14 +187,15 @@ def _stack(outcomes: list[Outcome]) -> Outcome:
     return Outcome(State(*map(torch.stack, zip(*states, strict=True))), *map(torch.stack, (ranges, collided, passed)))
 
 
-def _sum_up(course: Outcome, actions: Tensor, simulator: Simulator, reward: Reward, stations: Tensor) -> list[Drive]:
+def _sum_up(
+    course: Outcome, actions: Tensor, limits: Tensor, simulator: Simulator, reward: Reward, stations: Tensor
+) -> list[Drive]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that.
 
     Of the actions [T + 1, B] the first is the one that counts as before the start.
     """
-    limit = len(actions) - 1
     ended = _has_ended(course, simulator)
-    lengths = torch.where(ended.any(0), ended.int().argmax(0), limit)
+    lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = (lengths, torch.arange(len(lengths), device=lengths.device))
     readings = course.ranges[1:] / simulator.sensor.max_range
     near = reward.is_near_wall(readings)

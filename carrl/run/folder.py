@@ -27,10 +27,11 @@ from carrl.record.writer import LogWriter
 from carrl.run.build import build_network, observes_action
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.divergence import REPORT as DIVERGENCE
-from carrl.run.evaluation import Drive, Policy, greedy_policy
+from carrl.run.evaluation import Policy, greedy_policy
 from carrl.run.moment import Moment
 from carrl.run.settings import put_back, read_settings
 from carrl.run.table import Table
+from carrl.run.trial import Trial
 
 CONFIG = Path(".hydra/config.yaml")
 LOG = "train.mcap"
@@ -145,7 +146,7 @@ class RunFolder:
             }
         )
 
-    def add_evaluation(self, attempt: Drive, frames: int, episodes: int) -> None:
+    def add_evaluation(self, attempt: Trial, frames: int, episodes: int) -> None:
         """Adds a row to `evaluations.csv`."""
         self._evaluations.append({"frames": frames, "episodes": episodes, **attempt.measures()})
 
@@ -165,6 +166,12 @@ class RunFolder:
 def checkpoint_path(run: Path, name: str) -> Path:
     """Where a run keeps the checkpoint of this name, `best` or `last`."""
     return run / "checkpoints" / f"{name}.pt"
+
+
+def seed_folders(run: Path) -> list[Path]:
+    """The folders of a run's seeds in their order, where it has several; else the run's own."""
+    found = [path.parents[1] for path in run.glob(f"seed=*/{CONFIG}") if path.parents[1].name[5:].isdecimal()]
+    return sorted(found, key=lambda folder: int(folder.name[5:])) or [run]
 
 
 def load_config(run: Path) -> dict[str, Any]:

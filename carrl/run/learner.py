@@ -56,12 +56,17 @@ class Learner:
         agents: alike in everything but their values.
         buffer: with the memories of all agents.
         compiled: make the updates natively. Where that cannot be done, they run eagerly, and one line says why.
+        frames_per_update: env steps of each agent for one update of its network.
     """
 
-    def __init__(self, agents: Sequence[Agent], buffer: TensorDictReplayBuffer, *, compiled: bool) -> None:
+    def __init__(
+        self, agents: Sequence[Agent], buffer: TensorDictReplayBuffer, *, compiled: bool, frames_per_update: int = 1
+    ) -> None:
         """Compiles nothing yet: the buffer's shape is unknown while it is empty."""
         self._agents, self._buffer = agents, buffer
         self._compiles = compiled
+        self._frames_per_update = frames_per_update
+        self._frames_waiting = 0
         self._native: NativeUpdate | None = None
         self._rates = [[group["lr"] for group in agent.optimizer.param_groups] for agent in agents]
         self.updates = 0
@@ -74,6 +79,7 @@ class Learner:
         """All that an update changes, but the buffer."""
         return {
             "updates": self.updates,
+            "frames_waiting": self._frames_waiting,
             "losses": self.losses,
             "sampler": self._buffer.sampler.state_dict(),
             "agents": [
@@ -93,6 +99,7 @@ class Learner:
         Networks keep their memory, whose views others hold. Call it before the first update.
         """
         self.updates, self.losses = state["updates"], state["losses"].clone()
+        self._frames_waiting = state["frames_waiting"]
         self._buffer.sampler.load_state_dict(state["sampler"])
         for agent, rates, own in zip(self._agents, self._rates, state["agents"], strict=True):
             agent.loss.load_state_dict(own["loss"])
@@ -104,7 +111,7 @@ class Learner:
                 agent.noise.load_state_dict(own["noise"])
 
     def learn(self, frames: int) -> None:
-        """One update for each of the next `frames` env steps, if there is a batch to sample; the targets follow.
+        """The updates for the next `frames` env steps, if there is a batch to sample; the targets follow.
 
         Afterwards `losses` [A] are those before the last update, `updates` counts them all, and `first_update_at` is
         the monotonic time of the first one in the way that all later ones are made, compiled or not. `divergences`
@@ -113,7 +120,9 @@ class Learner:
         while frames > 0:
             count = min(frames, *(agent.target_updater.steps_left for agent in self._agents))
             if len(self._buffer) >= self._batch_size:
-                self._update(count)
+                updates, self._frames_waiting = divmod(self._frames_waiting + count, self._frames_per_update)
+                if updates:
+                    self._update(updates)
             for agent in self._agents:
                 agent.target_updater.step(count)
             frames -= count

@@ -14,7 +14,6 @@ from carrl.run.moment import Moment
 from carrl.run.offline_folder import Learnt, OfflineRunFolder
 from carrl.run.state_file import StateFile
 from carrl.run.training import Training
-from carrl.sim.simulator import Simulator
 
 UPDATES_PER_ROUND = 250
 """After so many, progress is noted, and a run may be stopped."""
@@ -103,10 +102,9 @@ class OfflineTrainer(Training):
         return means
 
     def _evaluate(self) -> None:
-        world, device = self._pipeline.world, self._sample["observation"].device
-        drives = self._drive(Simulator(world.track, world.vehicle, world.sensor, device))
-        for run, attempt in zip(self.runs, drives, strict=True):
-            run.add_evaluation(attempt, run.moment)
+        trials = self._drive(self._pipeline.world.validation_simulator(self._sample["observation"].device))
+        for run, trial in zip(self.runs, trials, strict=True):
+            run.add_evaluation(trial, run.moment)
 
 
 def _spread_sample(pipeline: OfflinePipeline) -> TensorDictBase:

@@ -18,18 +18,20 @@ class TrainingPlan:
     Attributes:
         episodes: a run ends once this many have ended.
         frames: or once this many env steps are done.
+        frames_per_update: env steps of each agent for one update of its network, 1 in the paper.
         seeds: of the agents, each a whole number or a range such as "0..9", both ends included; None for one agent.
         checkpoint_interval: wall time between two checkpoints to resume from, s.
     """
 
     episodes: int
     frames: int
+    frames_per_update: int = 1
     seeds: Sequence[int | str] | None = None
     checkpoint_interval: float = 30.0
 
     def __post_init__(self) -> None:
-        """Raises ConfigError unless a run can make at least one step."""
-        for name in ("episodes", "frames"):
+        """Raises ConfigError unless a run can make at least one step and update."""
+        for name in ("episodes", "frames", "frames_per_update"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"trainer.{name} is {getattr(self, name)}; it must be at least 1")
         if not self.checkpoint_interval >= 0:

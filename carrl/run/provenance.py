@@ -20,7 +20,7 @@ def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
     """The entries of a log's metadata for the agent with this seed, who drives so many cars."""
     entries = {
         "seed": str(seed),
-        "track": env.track.name,
+        "track": env.track.name if len(env.tracks) == 1 else f"{len(env.tracks)} tracks",
         "num_envs": str(cars),
         "packages": json.dumps({"carrl": carrl.__version__, **_versions()}),
         **scene_of(env).entries(),

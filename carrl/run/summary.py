@@ -4,8 +4,8 @@ from dataclasses import asdict
 from typing import Any
 
 from carrl.run.agent_run import AgentRun
-from carrl.run.evaluation import Drive
 from carrl.run.training import Training
+from carrl.run.trial import Trial
 
 EVALUATION_KEYS = (
     "lap_completed",
@@ -16,7 +16,10 @@ EVALUATION_KEYS = (
     "reversals",
     "near_wall_share",
     "progress",
+    "circuits",
+    "laps_completed",
 )
+"""Of several circuits the means, and the last two besides."""
 
 
 def summarise(run: AgentRun, trainer: Training, **context: Any) -> dict[str, Any]:
@@ -43,5 +46,8 @@ def summarise(run: AgentRun, trainer: Training, **context: Any) -> dict[str, Any
     }
 
 
-def _figures(attempt: Drive | None) -> dict[str, Any] | None:
-    return None if attempt is None else {key: attempt.measures()[key] for key in EVALUATION_KEYS}
+def _figures(attempt: Trial | None) -> dict[str, Any] | None:
+    if attempt is None:
+        return None
+    measures = attempt.measures()
+    return {key: measures[key] for key in EVALUATION_KEYS if key in measures}

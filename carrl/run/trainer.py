@@ -53,7 +53,9 @@ class Trainer(Training):
         agents = pipeline.agents
         cars = pipeline.env.batch_size[0] // len(agents)
         time_step = pipeline.env.simulator.vehicle.time_step
-        self._tracker = EpisodeTracker(len(agents), cars, pipeline.env.track.gate_count, time_step)
+        gates = [track.gate_count for track in pipeline.env.tracks]
+        self._tracker = EpisodeTracker(len(agents), cars, gates, time_step)
+        self._validation = pipeline.world.validation_simulator(pipeline.env.device)
         self._evaluated_at = -1
         self._unlogged: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, self._began
@@ -196,9 +198,9 @@ class Trainer(Training):
 
     def _evaluate(self) -> None:
         self._evaluated_at = self.frames
-        drives = self._drive(self._pipeline.env.simulator)
+        trials = self._drive(self._validation)
         for index, run in self._active.items():
-            run.add_evaluation(drives[index], self._moment(run.moment.loss))
+            run.add_evaluation(trials[index], self._moment(run.moment.loss))
 
     def _has_reached_a_limit(self, run: AgentRun) -> bool:
         plan = self._pipeline.plan

@@ -11,9 +11,10 @@ from carrl.errors import CarrlError, CheckpointError
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning
 from carrl.run.divergence import describe, sentence
-from carrl.run.evaluation import Drive, drive_from
+from carrl.run.evaluation import drive_from
 from carrl.run.folder import RunFolder
 from carrl.run.state_file import StateFile
+from carrl.run.trial import Trial
 from carrl.sim.simulator import Simulator
 
 
@@ -152,7 +153,10 @@ class Training:
             run.folder.write_divergence(report)
             raise CarrlError(sentence(report))
 
-    def _drive(self, simulator: Simulator) -> list[Drive]:
-        """A greedy lap from the start line with every agent's network, side by side."""
-        start_line = torch.zeros(len(self.runs))
-        return drive_from(simulator, self._learning.world.reward, self._learning.policy.actions, start_line)
+    def _drive(self, simulator: Simulator) -> list[Trial]:
+        """A greedy lap of every validation circuit from its start line with every agent's network, side by side."""
+        circuits = len(self._learning.world.circuits.validation)
+        track = torch.arange(circuits).repeat(len(self.runs))
+        policy = self._learning.policy.actions
+        drives = drive_from(simulator, self._learning.world.reward, policy, torch.zeros(len(track)), track)
+        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]

@@ -19,6 +19,7 @@ from carrl.sim.centreline import Centreline
 CORNER_RADIUS = (8.0, 20.0)
 WIDTH = (6.0, 12.0)
 LENGTH = (200.0, 800.0)
+CORNER_SPACING = (1.5, 3.0)
 RADIUS_MARGIN = 1.0
 """The least radius of the centreline exceeds half the width by this, so that the inner wall has a radius, too, m."""
 LENGTH_PER_RADIUS = 10.0
@@ -26,6 +27,10 @@ LENGTH_PER_RADIUS = 10.0
 LARGEST = 1e4
 """No radius, width or length may exceed this, m."""
 POINT_SPACING = 2.0
+MOST_WIDENING = 5.0
+"""The largest share by which either half of a road may be wider in places than where it is narrowest."""
+SHORTEST_SWELL = 80.0
+"""Length of the shortest of the waves that make up a road's changes of width, m."""
 MOST_DRAWS = 1000
 """How many circuits are drawn until one fits."""
 
@@ -45,8 +50,23 @@ class Measures:
     length: float
 
 
-def random_centrelines(seed: int, corner_radius: Range, width: Range, length: Range) -> Iterator[Centreline]:
+def random_centrelines(
+    seed: int,
+    corner_radius: Range,
+    width: Range,
+    length: Range,
+    widening: float = 0.0,
+    corner_spacing: Range = CORNER_SPACING,
+) -> Iterator[Centreline]:
     """Circuits of the same measures, drawn from one seed, as long as one is asked for; a few have legs that overlap.
+
+    Args:
+        seed: a whole number from 0 on.
+        corner_radius: see `Measures`, as for `width` and `length`.
+        width: where the road is narrowest.
+        length: of the centreline.
+        widening: how much wider either half of the road may be in places, as a share of itself.
+        corner_spacing: about how far corners stand apart, in least radii.
 
     Raises:
         TrackError: a value is no number or range, or no circuit has these measures.
@@ -54,13 +74,32 @@ def random_centrelines(seed: int, corner_radius: Range, width: Range, length: Ra
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise TrackError(f"a random track: seed is {seed!r}; it must be a whole number from 0 on")
     random = np.random.default_rng(seed)
+    if isinstance(widening, bool) or not 0 <= widening <= MOST_WIDENING:
+        raise TrackError(
+            f"a random track: widening is {widening!r}; it must be a share between 0 and {MOST_WIDENING:g}"
+        )
     measures = _draw_measures(random, corner_radius, width, length)
+    spacing = _as_range("corner_spacing", corner_spacing, "least radii")
     half_width = measures.width / 2
     for _ in range(MOST_DRAWS):
-        points = _round_corners(random, _draw_corners(random, measures), measures)
+        points = _round_corners(random, _draw_corners(random, measures, spacing), measures)
         if points is not None:
-            sides = np.full(len(points), half_width)
-            yield Centreline(points, width_right=sides, width_left=sides)
+            right, left = (half_width * (1 + widening * _draw_swell(random, len(points), widening)) for _ in range(2))
+            yield Centreline(points, width_right=right, width_left=left)
+
+
+def _draw_swell(random: np.random.Generator, count: int, widening: float) -> np.ndarray:
+    """How much of its widening the road has at each of so many points, [P], in 0..1; smooth, and 0 for half of them.
+
+    Draws nothing where nothing is widened, so that the circuits of a seed stay as they are.
+    """
+    if widening == 0:
+        return np.zeros(count)
+    along = 2 * math.pi * np.arange(count) / count
+    waves = np.arange(1, max(2, round(count * POINT_SPACING / SHORTEST_SWELL) + 1))
+    sizes, phases = random.standard_normal(len(waves)), random.uniform(0, 2 * math.pi, len(waves))
+    swell = (sizes[:, None] * np.sin(waves[:, None] * along + phases[:, None])).sum(axis=0)
+    return np.asarray(np.maximum(swell, 0) / max(float(swell.max()), 1e-12))
 
 
 def _draw_measures(random: np.random.Generator, corner_radius: Range, width: Range, length: Range) -> Measures:
@@ -87,20 +126,20 @@ def _draw_measures(random: np.random.Generator, corner_radius: Range, width: Ran
     return Measures(drawn_radius, drawn_width, drawn_length)
 
 
-def _as_range(name: str, value: Range) -> tuple[float, float]:
+def _as_range(name: str, value: Range, unit: str = "metres") -> tuple[float, float]:
     ends = value if isinstance(value, Sequence) and not isinstance(value, str) else (value, value)
     numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
     if len(ends) != 2 or not numbers or not 0 < ends[0] <= ends[1] <= LARGEST:
         raise TrackError(
-            f"a random track: {name} is {value!r}; it must be a number of metres or a range [low, high], "
+            f"a random track: {name} is {value!r}; it must be a number of {unit} or a range [low, high], "
             f"positive and at most {LARGEST:g}"
         )
     return float(ends[0]), float(ends[1])
 
 
-def _draw_corners(random: np.random.Generator, measures: Measures) -> np.ndarray:
+def _draw_corners(random: np.random.Generator, measures: Measures, spacing: tuple[float, float]) -> np.ndarray:
     """Corners [N, 2] of a polygon in the unit of a cell, turned, stretched and, for half of them, clockwise."""
-    cell_size = measures.corner_radius * random.uniform(1.5, 3.0)
+    cell_size = measures.corner_radius * random.uniform(*spacing)
     cells = _grow_shape(random, max(1, min(200, round(measures.length / cell_size / 2 - 1))))
     outline = np.array(_outline(cells), dtype=np.float64)
     ways = np.roll(outline, -1, axis=0) - outline

@@ -22,7 +22,7 @@ from carrl.sim.centreline import Centreline
 from carrl.sim.csv_file import read_csv
 from carrl.sim.drawing_file import MIN_GATE_SPACING, read_drawing
 from carrl.sim.folds import cut_folds
-from carrl.sim.random_track import CORNER_RADIUS, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
+from carrl.sim.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 from carrl.sim.routes import Routes
 from carrl.sim.waypoint_file import read_waypoints
 
@@ -93,6 +93,8 @@ class Track:
         width: float | Sequence[float] = WIDTH,
         length: float | Sequence[float] = LENGTH,
         gate_spacing: float | None = None,
+        widening: float = 0.0,
+        corner_spacing: float | Sequence[float] = CORNER_SPACING,
     ) -> "Track":
         """A circuit with straights, hairpins and bends to both sides; the same seed and ranges draw the same one.
 
@@ -102,6 +104,8 @@ class Track:
             width: from wall to wall, m: a number or a range.
             length: of the centreline, m: a number or a range.
             gate_spacing: about how far the gates stand apart, m; by default `DEFAULT_GATE_SPACING`.
+            widening: how much wider either half of the road may be in places, as a share; 0 for a road of one width.
+            corner_spacing: about how far corners stand apart, in least radii of the centreline: a number or a range.
 
         Raises:
             TrackError: a value is no such number or range, or no circuit has these measures.
@@ -110,7 +114,7 @@ class Track:
 
         name = f"random-{seed}"
         _check_gate_spacing(name, gate_spacing)
-        for centreline in random_centrelines(seed, corner_radius, width, length):
+        for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing):
             track = Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING)
             if not inspect_track(track, body_radius=0.0).faults:
                 return track

@@ -9,6 +9,7 @@ from torchrl.modules import QValueActor
 from carrl.agent.network import make_q_network
 from carrl.agent.policy import GreedyPolicy
 from carrl.agent.stack import stack_in_place
+from carrl.errors import ConfigError
 
 
 def table_i(seed):
@@ -23,7 +24,13 @@ def normalised(seed):
     return QValueActor(layers, in_keys=["observation"], action_space="categorical")
 
 
-@pytest.mark.parametrize("make", [table_i, normalised])
+def rooted(seed):
+    """A network that reads the square roots of its inputs."""
+    generator = torch.Generator().manual_seed(seed)
+    return make_q_network([8], 0.5, observation_size=7, action_count=3, generator=generator)
+
+
+@pytest.mark.parametrize("make", [table_i, normalised, rooted])
 def test_every_agent_acts_as_its_own_network_would(make):
     networks = [make(seed) for seed in (1, 2, 3)]
     observation = torch.rand(12, 7)
@@ -74,3 +81,18 @@ def test_stacked_tensors_are_rows_of_one_and_stay_where_they_are():
     assert stack_in_place(tensors).data_ptr() == stacked.data_ptr()
     assert stack_in_place(tensors[1:]).data_ptr() == stacked[1].data_ptr()
     assert stack_in_place([tensors[0], tensors[2]]).data_ptr() != stacked.data_ptr()
+
+
+def test_an_exponent_of_a_half_reads_square_roots():
+    plain, root = (
+        make_q_network([4], exponent, observation_size=7, action_count=3, generator=torch.Generator().manual_seed(1))
+        for exponent in (1.0, 0.5)
+    )
+    observation = torch.rand(5, 7)
+    read = [TensorDict({"observation": each}, [5]) for each in (observation.sqrt(), observation)]
+    torch.testing.assert_close(plain(read[0])["action_value"], root(read[1])["action_value"])
+
+
+def test_an_exponent_that_is_not_positive_is_refused():
+    with pytest.raises(ConfigError, match=r"network\.input_exponent is 0; it must be a positive number"):
+        make_q_network([4], 0, observation_size=7, action_count=3, generator=torch.Generator())

@@ -125,6 +125,30 @@ def test_evaluate_drives_the_training_track_with_the_best_network(run, capsys):
     assert {key: track["drives"][0][key] for key in best} == best
 
 
+def test_evaluate_has_intervals_and_the_rules_figures_beside_the_policys(run, capsys):
+    assert main(["evaluate", str(run), "--track", "oval", "--starts", "4", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    (oval,) = document["tracks"]
+    assert (oval["rule"]["laps_completed"], oval["rule"]["collisions"]) == (4, 0)
+    low, high = oval["intervals"]["completion"]
+    assert low <= oval["laps_completed"] / 4 <= high
+    assert oval["collisions"] == sum(drive["collided"] for drive in oval["drives"])
+    assert document["all"]["driven_km"] == pytest.approx(oval["driven_km"])
+    assert "runs" not in document
+
+
+def test_a_folder_stands_for_all_circuits_in_it(run, tmp_path, capsys):
+    for name, corner in (("one", 60), ("two", 80)):
+        corners = [[0, 0], [corner, 0], [corner, 60], [0, 60]]
+        drawing = {"corners": corners, "corner_radius": 15, "width": 9}
+        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(drawing))
+    (tmp_path / "notes.txt").write_text("not a circuit")
+    assert main(["evaluate", str(run), "--track", str(tmp_path), "--starts", "2"]) == 0
+    table = capsys.readouterr().out
+    assert "one.yaml" in table and "two.yaml" in table and "all 2 tracks" in table
+    assert table.count("rule") == 3
+
+
 def test_the_rule_laps_where_the_untrained_network_does_not(run, capsys):
     assert main(["evaluate", str(run), "--policy", "rule", "--starts", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tracks"][0]["laps_completed"] == 2
@@ -154,6 +178,13 @@ def test_several_seeds_leave_a_folder_each_as_if_trained_alone(run, tmp_path, ca
     assert (load(ours / "train.mcap") == load(alone / "train.mcap")).all()
     configs = [yaml.safe_load((path / ".hydra" / "config.yaml").read_text()) for path in (ours, alone)]
     assert configs[0] == configs[1]
+    assert main(["evaluate", str(tmp_path), "--json", "--starts", "2"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [each["seed"] for each in document["runs"]] == [4, 5]
+    assert document["all"]["starts"] == 4 == len(document["tracks"][0]["drives"])
+    assert document["all"]["laps_completed"] == sum(each["all"]["laps_completed"] for each in document["runs"])
+    assert main(["evaluate", str(tmp_path)]) == 0
+    assert "each run" in capsys.readouterr().out
     assert main(["report", str(tmp_path)]) == 0
     table = capsys.readouterr().out.partition("## Runs\n\n")[2]
     assert [line.split(" | ")[0] for line in table.splitlines()[2:4]] == ["| seed=4", "| seed=5"]

@@ -90,3 +90,11 @@ def test_an_episode_tells_where_it_ended():
     tracker = EpisodeTracker(1, 2, gates_per_lap=8, time_step=0.1)
     (ended,) = tracker.follow(batch([[1, 2], [3, 4]], [[False, True], [True, False]]))
     assert [(episode.env, episode.end_pose) for episode in ended] == [(1, (6.0, 7.0, 8.0)), (0, (3.0, 4.0, 5.0))]
+
+
+def test_a_lap_is_as_many_gates_as_the_cars_own_track_has():
+    tracker = EpisodeTracker(1, 2, gates_per_lap=[8, 5], time_step=0.1)
+    step = batch([[0.0], [0.0]], [[True], [True]], gates=[[10], [10]])
+    step["next", "track"] = torch.tensor([[0], [1]])
+    (ended,) = tracker.follow(step)
+    assert [(episode.track, episode.laps) for episode in ended] == [(0, 1), (1, 2)]

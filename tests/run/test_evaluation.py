@@ -1,5 +1,7 @@
 """Driving without exploration, and the measures of it."""
 
+import math
+
 import pytest
 import torch
 
@@ -100,3 +102,18 @@ def test_the_random_policy_repeats_itself_for_the_same_seed():
 def test_no_start_place_is_refused():
     with pytest.raises(ConfigError, match="starts is 0"):
         drive(make_simulator(), Reward(), rule_policy, starts=0)
+
+
+def test_several_tracks_driven_together_are_driven_as_each_alone():
+    names = ("oval", "serpentine", "paper")
+    together = Simulator([Track.load(name) for name in names], Vehicle(), Sensor(max_range=10.0))
+    drives = drive(together, Reward(), rule_policy, starts=2)
+    alone = [attempt for name in names for attempt in drive(make_simulator(name), Reward(), rule_policy, starts=2)]
+    assert [attempt.measures() for attempt in drives] == [attempt.measures() for attempt in alone]
+
+
+def test_each_car_has_the_time_limit_of_its_own_track():
+    tracks = [Track.load("oval"), Track.load("serpentine")]
+    simulator = Simulator(tracks, Vehicle(turn_radius=1.0), Sensor(max_range=10.0))
+    drives = drive(simulator, Reward(), lambda observation, _: torch.ones(len(observation), dtype=torch.int64))
+    assert [attempt.lap_steps for attempt in drives] == [2 * math.ceil(track.length) for track in tracks]

@@ -209,3 +209,37 @@ def test_seeds_may_be_named_as_a_range():
 
 def test_the_configuration_is_found():
     assert (config_dir() / "train.yaml").is_file()
+
+
+CIRCUITS = ("track=circuits", "track.count=3", "track.validation=2", "evaluation.interval=200", "env.max_steps=20")
+
+
+def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploration(tmp_path):
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "env.random_start=true")
+    assert set(load(tmp_path / "train.mcap")["track"].tolist()) == {0, 1, 2}
+    names = [track.name for track in pipeline.env.tracks]
+    assert names == ["random-1000", "random-1001", "random-1002"]
+    assert [track.name for track in pipeline.world.circuits.validation] == ["random-1003", "random-1004"]
+    (run,) = trainer.runs
+    assert len(run.best.drives) == 2
+    rows = read_rows(tmp_path / "evaluations.csv")
+    assert [row["circuits"] for row in rows] == ["2", "2"]
+    assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.drives) / 2)
+
+
+def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):
+    together, _ = train(tmp_path / "both", *CIRCUITS, "trainer.seeds=[3,4]")
+    for index, seed in enumerate((3, 4)):
+        alone, _ = train(tmp_path / f"alone-{seed}", *CIRCUITS, f"seed={seed}")
+        assert together.runs[index].last.measures() == alone.runs[0].last.measures()
+
+
+def test_several_env_steps_may_share_an_update(tmp_path):
+    _, pipeline = train(tmp_path, "trainer.frames_per_update=5", "replay_buffer.batch_size=32")
+    # As above, the round that fills the buffer counts: 400 - 24 env steps, of which the last one waits.
+    assert pipeline.learner.updates == (400 - 32 + 8) // 5
+
+
+def test_fewer_than_one_env_step_for_an_update_is_refused():
+    with pytest.raises(ConfigError, match=r"trainer\.frames_per_update is 0; it must be at least 1"):
+        TrainingPlan(1, 1, frames_per_update=0)

@@ -57,7 +57,8 @@ def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
 def _alike(world: World, other: World) -> bool:
     """Whether the same laps are possible without a step near a wall."""
     distances = [each.sensor.max_range * each.reward.proximity_threshold for each in (world, other)]
-    same = world.track.as_dict() == other.track.as_dict() and world.vehicle == other.vehicle
+    tracks = [[track.as_dict() for track in each.circuits.training] for each in (world, other)]
+    same = tracks[0] == tracks[1] and world.vehicle == other.vehicle
     fans = [(each.sensor.rays, each.sensor.field_of_view) for each in (world, other)]
     return same and fans[0] == fans[1] and math.isclose(*distances, rel_tol=1e-4)
 

@@ -1,0 +1,101 @@
+"""The circuits that a policy is trained on, and those on which training tries out how well it drives."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from carrl.errors import TrackError
+from carrl.sim.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
+from carrl.sim.track import Track
+
+CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
+"""Endings of the files of a folder that are taken for circuits."""
+MOST_CIRCUITS = 512
+"""Of a run; each one is attached to the run's log, with about 110 bytes for every metre of its road."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circuits:
+    """One track, or many.
+
+    Attributes:
+        training: where the policy learns to drive.
+        validation: where it is tried out without exploration, to choose the best network; not among `training`, unless
+            there is one track for both.
+    """
+
+    training: tuple[Track, ...]
+    validation: tuple[Track, ...]
+
+    @staticmethod
+    def only(track: Track) -> "Circuits":
+        """One track to learn and to be tried out on."""
+        return Circuits((track,), (track,))
+
+    @property
+    def name(self) -> str:
+        """The one track's name, or how many there are."""
+        return self.training[0].name if len(self.training) == 1 else f"{len(self.training)} circuits"
+
+
+def make_circuits(
+    count: int,
+    validation: int,
+    seed: int = 0,
+    corner_radius: float | Sequence[float] = CORNER_RADIUS,
+    width: float | Sequence[float] = WIDTH,
+    length: float | Sequence[float] = LENGTH,
+    gate_spacing: float | None = None,
+    widening: float = 0.0,
+    corner_spacing: float | Sequence[float] = CORNER_SPACING,
+    folder: str | None = None,
+) -> Circuits:
+    """Random circuits to learn on, with the circuits of a folder if one is named, and other random ones for trials.
+
+    Args:
+        count: how many random circuits to learn on.
+        validation: how many to be tried out on; from the seeds that follow those of the first ones.
+        seed: of the first random circuit; the next one is drawn from the next seed, and so on.
+        corner_radius: see `Track.random`, as for `width`, `length`, `gate_spacing`, `widening` and `corner_spacing`.
+        width: from wall to wall, m.
+        length: of the centreline, m.
+        gate_spacing: about how far the gates stand apart, m, also in the folder's circuits.
+        widening: how much wider either half of a random road may be in places, as a share.
+        corner_spacing: about how far corners stand apart, in least radii.
+        folder: whose circuits to learn on, too; None for none.
+
+    Raises:
+        TrackError: there is no circuit to learn on or for trials, there are too many, or one cannot be drawn or read.
+    """
+    if count < 0 or validation < 1 or count + validation > MOST_CIRCUITS:
+        raise TrackError(
+            f"track.count is {count} and track.validation is {validation}; they must be at least 0 and 1, "
+            f"together at most {MOST_CIRCUITS}"
+        )
+    drawn = [
+        Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing)
+        for each in range(seed, seed + count + validation)
+    ]
+    named = [] if folder is None else [Track.load(path, gate_spacing) for path in circuit_files(Path(folder))]
+    training = (*drawn[:count], *named)
+    if not training:
+        raise TrackError("track.count is 0 and track.folder names no folder; give at least one circuit to learn on")
+    return Circuits(training, tuple(drawn[count:]))
+
+
+def circuit_files(folder: Path) -> list[Path]:
+    """The files of a folder that are taken for circuits, in the order of their names.
+
+    Raises:
+        TrackError: there is none, too many, or no such folder.
+    """
+    try:
+        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in CIRCUIT_FILES and path.is_file())
+    except OSError as error:
+        raise TrackError(f"folder '{folder}' cannot be read: {error.strerror}; name a folder of circuits") from error
+    if not 0 < len(found) <= MOST_CIRCUITS:
+        raise TrackError(
+            f"folder '{folder}' has {len(found)} files that end in {', '.join(CIRCUIT_FILES)}; "
+            f"it must have at least one and at most {MOST_CIRCUITS}"
+        )
+    return found
