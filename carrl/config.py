@@ -22,7 +22,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "loss": ("carrl.agent.loss.make_dqn_loss", "carrl.agent.loss.make_cql_loss"),
     "target_updater": ("carrl.agent.target_updater.make_hard_update",),
     "optimizer": ("torch.optim.Adam",),
-    "collector": ("carrl.data.collector.make_collector",),
+    "collector": (
+        "carrl.data.collector.make_collector",
+        "carrl.data.cluster_collector.ClusterCollector",
+    ),
     "replay_buffer": ("carrl.data.replay_buffer.make_replay_buffer",),
     "recorder": ("carrl.record.writer.LogWriter",),
     "trainer": ("carrl.run.plan.TrainingPlan",),
