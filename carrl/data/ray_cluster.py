@@ -1,18 +1,21 @@
 """Joins a Ray cluster, or starts one on this machine."""
 
 import importlib.util
+import ipaddress
 import os
 import signal
+import socket
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from carrl.errors import ConfigError
 
 OBJECT_STORE_BYTES = 128 * 2**20
 """Shared memory of a local cluster; a batch is a few hundred kilobytes."""
+CONNECT_TIMEOUT_S = 5.0
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
 
 
@@ -65,28 +68,51 @@ def _join(address: str) -> None:
     import ray
 
     try:
-        with _environment(RAY_USAGE_STATS_ENABLED="0"):
+        with ExitStack() as stack:
+            if address != "auto" and _is_of_this_machine(address):
+                stack.enter_context(_within_this_machine())
             ray.init(address=address, **_QUIET)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise ConfigError(f"collector.address is '{address}', where no Ray cluster answers: {error}") from error
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ConfigError(
+            f"collector.address is '{address}', where no Ray cluster answers: {error}; "
+            "give HOST:PORT as `ray start --head` prints it, or auto on a machine of the cluster, or null"
+        ) from error
+
+
+def _is_of_this_machine(address: str) -> bool:
+    """Whether the address is within this machine; Ray itself would wait half a minute for an answer.
+
+    Raises:
+        OSError, ValueError: nothing answers there, or this is no address.
+    """
+    host, _, port = address.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT_S) as connection:
+        return ipaddress.ip_address(connection.getpeername()[0]).is_loopback
 
 
 def _start(processors: int, folder: str) -> None:
-    """Starts a cluster whose every port is open to this machine alone, and which reports to nobody.
-
-    Ray 2.60 turns `_node_ip_address="127.0.0.1"` into the machine's address in the network and listens to that, except
-    where it is told that there are no clusters, by a variable that it reads when it is imported (and TorchRL imports
-    it). A test looks at the ports.
-    """
+    """Starts a cluster whose every port is open to this machine alone, and which reports to nobody."""
     import ray
+
+    options: dict[str, Any] = {"include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES, "num_gpus": 0}
+    with _within_this_machine():
+        ray.init(address="local", num_cpus=processors, _temp_dir=folder, **options, **_QUIET)
+
+
+@contextmanager
+def _within_this_machine() -> Iterator[None]:
+    """Lets Ray listen, and look for others, at 127.0.0.1.
+
+    Ray 2.60 takes `127.0.0.1`, as an address or as `_node_ip_address`, for the machine's address in the network, unless
+    it is told that there are no clusters, by a variable that it reads when it is imported (and TorchRL imports it).
+    """
     from ray._private import ray_constants
 
     enabled = ray_constants.ENABLE_RAY_CLUSTER
     ray_constants.ENABLE_RAY_CLUSTER = False
-    options: dict[str, Any] = {"include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES, "num_gpus": 0}
     try:
         with _environment(RAY_USAGE_STATS_ENABLED="0", RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0"):
-            ray.init(address="local", num_cpus=processors, _temp_dir=folder, **options, **_QUIET)
+            yield
     finally:
         ray_constants.ENABLE_RAY_CLUSTER = enabled
 

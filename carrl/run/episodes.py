@@ -67,9 +67,9 @@ class EpisodeTracker:
         numbers = np.empty((cars, steps), dtype=np.int64)
         times = np.empty(steps, dtype=np.int64)
         after = {key: batch["next", key].cpu().numpy().reshape(cars, steps) for key in _KEYS}
+        self._begin_anew(after["step"][:, 0] == 1)
         poses = batch["next", "pose"].cpu().numpy()
         ended: list[list[Episode]] = [[] for _ in self._begun]
-        self._begin_anew(batch["step"][:, 0].cpu().numpy() == 0)
         for step in range(steps):
             numbers[:, step] = self._episode
             times[step] = self.time_ns
@@ -83,12 +83,12 @@ class EpisodeTracker:
         batch["time_ns"] = torch.from_numpy(times).expand(cars, steps)
         return ended
 
-    def _begin_anew(self, at_the_start: np.ndarray) -> None:
-        """Numbers a new episode for each car that is at the start, [B], although its last episode has not ended.
+    def _begin_anew(self, first: np.ndarray) -> None:
+        """Numbers a new episode for each car that takes its first step, [B], although its last episode has not ended.
 
         That is how the cars of a lost worker go on. Of the episode that was cut short there are transitions alone.
         """
-        for car in np.flatnonzero(at_the_start & (self._begin_ns < self.time_ns)).tolist():
+        for car in np.flatnonzero(first & (self._begin_ns < self.time_ns)).tolist():
             self._begin(car)
 
     def _end(self, car: int, after: dict[str, Any], pose: tuple[float, float, float]) -> Episode:
