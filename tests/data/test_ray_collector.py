@@ -171,7 +171,7 @@ def test_a_run_on_a_running_cluster_is_reproducible_and_is_resumed_with_new_epis
     before = load(tmp_path / "train.mcap").view(-1, CARS).transpose(0, 1)
     assert (before == log[:, : KILLED_AT // CARS]).all()
 
-    assert main(["train", f"resume={tmp_path}", f"trainer.frames={KILLED_AT + ROUND}"]) == 0
+    assert main(["train", f"resume={tmp_path}", "collector.workers=1", f"trainer.frames={KILLED_AT + ROUND}"]) == 0
     assert verify(tmp_path / "train.mcap").transitions == KILLED_AT + ROUND
     after = load(tmp_path / "train.mcap").view(-1, CARS).transpose(0, 1)[:, KILLED_AT // CARS :]
     assert (after["step"][:, 0] == 0).all()
