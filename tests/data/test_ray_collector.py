@@ -165,13 +165,18 @@ def cluster_address():
 
 @needs_ray
 @pytest.mark.slow
-def test_a_run_on_a_running_cluster_is_reproducible_and_is_resumed_with_new_episodes(cluster_address, log, tmp_path):
+def test_a_run_on_a_running_cluster_is_reproducible_and_is_resumed_with_new_episodes(
+    cluster_address, log, tmp_path, capsys
+):
     address = f"collector.address={cluster_address}"
     assert main(["train", *OVERRIDES, address, f"trainer.frames={KILLED_AT}", f"hydra.run.dir={tmp_path}"]) == 0
     before = load(tmp_path / "train.mcap").view(-1, CARS).transpose(0, 1)
     assert (before == log[:, : KILLED_AT // CARS]).all()
 
-    assert main(["train", f"resume={tmp_path}", "collector.workers=1", f"trainer.frames={KILLED_AT + ROUND}"]) == 0
+    overrides = ["collector.workers=1", f"trainer.frames={KILLED_AT + ROUND}"]
+    assert main(["train", f"resume={tmp_path}", *overrides]) == 2  # as the folder could be a stranger's
+    assert "if you trust it, name it again: collector.address=HOST:PORT" in capsys.readouterr().err
+    assert main(["train", f"resume={tmp_path}", address, *overrides]) == 0
     assert verify(tmp_path / "train.mcap").transitions == KILLED_AT + ROUND
     after = load(tmp_path / "train.mcap").view(-1, CARS).transpose(0, 1)[:, KILLED_AT // CARS :]
     assert (after["step"][:, 0] == 0).all()
