@@ -39,7 +39,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "learning_rate": ("carrl.agent.learning_rate.LinearDecay", "carrl.agent.learning_rate.CosineDecay"),
     "target_updater": ("carrl.agent.target_updater.make_hard_update", "carrl.agent.target_updater.make_soft_update"),
     "optimizer": ("torch.optim.Adam",),
-    "collector": ("carrl.data.collector.make_collector",),
+    "collector": ("carrl.data.collector.make_collector", "carrl.data.cluster_collector.ClusterCollector"),
     "replay_buffer": (
         "carrl.data.replay_buffer.make_replay_buffer",
         "carrl.data.replay_buffer.make_prioritized_replay_buffer",

@@ -3,7 +3,7 @@
 Shapes: `A` agents, `B` cars, of which each agent drives the next B / A; `R` values of an observation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -41,6 +41,16 @@ class GreedyPolicy(TensorDictModuleBase):
         self._is_layered = isinstance(layers[0], nn.Sequential) and all(map(_is_simple, layers[0]))
         self._observe_action = observe_action
         self.agents = len(networks)
+
+    @property
+    def weights(self) -> Mapping[str, Tensor]:
+        """Of all networks, stacked, [A, ...], by name."""
+        return self._stacked
+
+    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
+        """Copies these, by the same names and of the same shapes, into the networks."""
+        for name, own in self._stacked.items():
+            own.copy_(weights[name])
 
     def action_values(self, observation: Tensor) -> Tensor:
         """The value of every action, [B, 3]: observations [B, R] as the environment gives them."""

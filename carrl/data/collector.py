@@ -11,10 +11,9 @@ from tensordict.nn import TensorDictModuleBase
 # Known as SyncDataCollector until torchrl 0.13; the old name is gone in 0.14.
 from torchrl.collectors import Collector as SyncDataCollector
 
+from carrl.data.cluster_collector import ClusterCollector
+from carrl.data.limits import check_steps
 from carrl.env.track_env import TrackEnv
-from carrl.errors import ConfigError
-
-MOST_STEPS = 2**16
 
 
 def make_collector(steps_per_batch: int, *, env: TrackEnv, policy: TensorDictModuleBase) -> SyncDataCollector:
@@ -23,10 +22,7 @@ def make_collector(steps_per_batch: int, *, env: TrackEnv, policy: TensorDictMod
     Raises:
         ConfigError: `steps_per_batch` is less than 1 or too large.
     """
-    if not 1 <= steps_per_batch <= MOST_STEPS:
-        raise ConfigError(
-            f"collector.steps_per_batch is {steps_per_batch}; it must be at least 1 and at most {MOST_STEPS}"
-        )
+    check_steps(steps_per_batch)
     return SyncDataCollector(
         env,
         policy,
@@ -38,20 +34,26 @@ def make_collector(steps_per_batch: int, *, env: TrackEnv, policy: TensorDictMod
     )
 
 
-def cars_of(collector: SyncDataCollector) -> dict[str, Any]:
+def cars_of(collector: SyncDataCollector | ClusterCollector) -> dict[str, Any]:
     """Where every car is between two batches, [N] each: what the next batch begins with.
 
-    TorchRL 0.14's `state_dict` of a collector leaves this out, and `load_state_dict` begins new episodes.
+    TorchRL 0.14's `state_dict` of a collector leaves this out, and `load_state_dict` begins new episodes, as the
+    cars of a cluster do.
     """
+    if isinstance(collector, ClusterCollector):
+        return collector.state_dict()
     return collector._carrier.select(*collector.env.observation_spec, *collector.env.done_spec).to_dict()
 
 
-def put_cars_back(collector: SyncDataCollector, cars: dict[str, Any]) -> None:
+def put_cars_back(collector: SyncDataCollector | ClusterCollector, cars: dict[str, Any]) -> None:
     """Lets the next batch begin with these cars.
 
     Raises:
-        ValueError: the environment has no such cars.
+        KeyError, ValueError: the environment has no such cars.
     """
+    if isinstance(collector, ClusterCollector):
+        collector.load_state_dict(cars)
+        return
     env = collector.env
     found = TensorDict(cars, batch_size=env.batch_size, device=env.device)
     if not (env.observation_spec.is_in(found.select(*env.observation_spec)) and env.done_spec.is_in(found)):

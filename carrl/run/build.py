@@ -2,19 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
-from torchrl.data import TensorDictReplayBuffer
+from torchrl.data import TensorDictReplayBuffer, TensorSpec
 from torchrl.modules import QValueActor
 
 from carrl.agent.exploration import EpsilonGreedy
+from carrl.agent.exploring_policy import ExploringPolicy
 from carrl.agent.policy import GreedyPolicy
 from carrl.agent.weight_noise import WeightNoise, is_noisy
 from carrl.config import build_node
+from carrl.data.cluster_collector import ClusterCollector, WorkerParts
 from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.returns import NStepReturns
 from carrl.env.observation import observation_size
@@ -68,7 +70,7 @@ class Pipeline(Learning):
 
     env: TrackEnv
     exploration: EpsilonGreedy
-    collector: Collector
+    collector: Collector | ClusterCollector
     evaluation: EvaluationPlan
     returns: NStepReturns | None
 
@@ -82,6 +84,8 @@ class OfflinePipeline(Learning):
 
 Config = Mapping[str, Any]
 
+CLUSTER_COLLECTOR = "carrl.data.cluster_collector.ClusterCollector"
+
 
 def build_pipeline(config: Config) -> Pipeline:
     """Builds a training run in the simulator from its resolved configuration, as plain Python values.
@@ -90,32 +94,71 @@ def build_pipeline(config: Config) -> Pipeline:
         CarrlError: a part refuses its values.
     """
     learning = _build_learning(config, config["replay_buffer"])
-    world, seeds = learning.world, [agent.seed for agent in learning.agents]
-    env = build_node(
-        "env",
-        config["env"],
-        track=world.circuits.training,
-        vehicle=world.vehicle,
-        sensor=world.sensor,
-        reward=world.reward,
-        device=config["device"],
-        seed=[_part_seed(seed, "env") for seed in seeds],
-    )
-    exploration = build_node(
-        "exploration",
-        config["exploration"],
-        action_spec=env.action_spec_unbatched,
-        generators=[_generator(seed, "exploration") for seed in seeds],
-    ).to(config["device"])
-    policy = TensorDictSequential(learning.policy, exploration)
+    seeds = [agent.seed for agent in learning.agents]
+    env = _build_env(config, learning.world, seeds, config["device"])
+    exploration = _build_exploration(config, env.action_spec_unbatched, seeds).to(config["device"])
     return Pipeline(
         **vars(learning),
         env=env,
         exploration=exploration,
-        collector=build_node("collector", config["collector"], env=env, policy=policy),
+        collector=_build_collector(config, env, learning, ExploringPolicy(learning.policy, exploration)),
         evaluation=build_node("evaluation", config["evaluation"]),
         returns=_build_optional(config, "returns", gamma=config["loss"]["gamma"]),
     )
+
+
+def _build_env(config: Config, world: World, seeds: list[int], device: str, **changes: Any) -> TrackEnv:
+    env: TrackEnv = build_node(
+        "env",
+        {**config["env"], **changes},
+        track=world.circuits.training,
+        vehicle=world.vehicle,
+        sensor=world.sensor,
+        reward=world.reward,
+        device=device,
+        seed=[_part_seed(seed, "env") for seed in seeds],
+    )
+    return env
+
+
+def _build_exploration(config: Config, action_spec: TensorSpec, seeds: list[int]) -> EpsilonGreedy:
+    exploration: EpsilonGreedy = build_node(
+        "exploration",
+        config["exploration"],
+        action_spec=action_spec,
+        generators=[_generator(seed, "exploration") for seed in seeds],
+    )
+    return exploration
+
+
+def _build_collector(
+    config: Config, env: TrackEnv, learning: Learning, policy: ExploringPolicy
+) -> Collector | ClusterCollector:
+    node = config["collector"]
+    if not isinstance(node, Mapping) or node.get("_target_") != CLUSTER_COLLECTOR:
+        return build_node("collector", node, env=env, policy=policy)
+    if len(learning.agents) != 1:
+        raise ConfigError("collector=ray trains one agent; leave trainer.seeds out, or set collector=sync")
+    if config.get("returns"):
+        raise ConfigError(
+            "collector=ray may break an episode off, which returns over several steps would join to the next; "
+            "set returns=one_step, or collector=sync"
+        )
+    parts = WorkerParts(
+        make_env=partial(_build_workers_env, config, learning.world),
+        make_policy=partial(_build_workers_policy, config, env.action_spec_unbatched.to("cpu")),
+    )
+    seed = learning.agents[0].seed
+    return build_node("collector", node, cars=env.batch_size[0], seed=seed, parts=parts, policy=policy)
+
+
+def _build_workers_env(config: Config, world: World, cars: int, seed: int) -> TrackEnv:
+    return _build_env(config, world, [seed], "cpu", num_envs=cars)
+
+
+def _build_workers_policy(config: Config, action_spec: TensorSpec, seed: int) -> ExploringPolicy:
+    greedy = GreedyPolicy([build_network(config)], observes_action(config))
+    return ExploringPolicy(greedy, _build_exploration(config, action_spec, [seed]))
 
 
 def learns_from_logs(config: Config) -> bool:

@@ -67,11 +67,15 @@ class EpisodeTracker:
         return round(self.frames // self._cars * self._time_step * 1e9)
 
     def follow(self, batch: TensorDictBase) -> list[list[Episode]]:
-        """Adds `episode`, `env` and `time_ns` to a batch [B, T] and returns each agent's episodes that ended in it."""
+        """Adds `episode`, `env` and `time_ns` to a batch [B, T] and returns each agent's episodes that ended in it.
+
+        A car whose first transition is a first step, although its episode had others, has begun a new one.
+        """
         cars, steps = batch.batch_size
         numbers = np.empty((cars, steps), dtype=np.int64)
         times = np.empty(steps, dtype=np.int64)
         after = {key: batch["next", key].cpu().numpy().reshape(cars, steps) for key in _KEYS}
+        self._begin_anew(after["step"][:, 0] == 1)
         poses = batch["next", "pose"].cpu().numpy()
         ended: list[list[Episode]] = [[] for _ in self._begun]
         for step in range(steps):
@@ -86,6 +90,14 @@ class EpisodeTracker:
         batch["env"] = torch.from_numpy(self._env)[:, None].expand(cars, steps)
         batch["time_ns"] = torch.from_numpy(times).expand(cars, steps)
         return ended
+
+    def _begin_anew(self, first: np.ndarray) -> None:
+        """Numbers a new episode for each car that takes its first step, [B], although its last episode has not ended.
+
+        That is how the cars of a lost worker go on. Of the episode that was cut short there are transitions alone.
+        """
+        for car in np.flatnonzero(first & (self._begin_ns < self.time_ns)).tolist():
+            self._begin(car)
 
     def _end(self, car: int, after: dict[str, Any], pose: tuple[float, float, float]) -> Episode:
         """Sums up a car's episode from its last step and begins the next."""
@@ -104,9 +116,12 @@ class EpisodeTracker:
             ended="collision" if after["terminated"] else "time limit",
             end_pose=pose,
         )
+        self._begin(car)
+        return episode
+
+    def _begin(self, car: int) -> None:
         agent = car // self._cars
         self._return[car] = 0
         self._begin_ns[car] = self.time_ns
         self._episode[car] = self._begun[agent]
         self._begun[agent] += 1
-        return episode

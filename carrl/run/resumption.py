@@ -8,7 +8,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from carrl.errors import CheckpointError, ConfigError
+from carrl.errors import CheckpointError, ConfigError, shown
 from carrl.run.folder import CONFIG, SUMMARY, load_config
 from carrl.run.state_file import PREVIOUS, STATE, load_state
 
@@ -19,8 +19,10 @@ CHANGEABLE = (
     "data.updates",
     "evaluation.interval",
     "optimizer.lr",
+    "collector.workers",
+    "collector.address",
 )
-"""What may be given anew: how long, how often, and how large the steps are."""
+"""What may be given anew: how long, how often, how large the steps are, and which cluster drives."""
 
 
 def resumed_config(run: Path, overrides: Sequence[str]) -> dict[str, Any]:
@@ -32,7 +34,9 @@ def resumed_config(run: Path, overrides: Sequence[str]) -> dict[str, Any]:
     config = load_config(run)
     if not (run / STATE).exists() and not (run / PREVIOUS).exists():
         _check_is_whole_run(run)
-    for key, value in _parsed(run, overrides).items():
+    changes = _parsed(run, overrides)
+    _check_cluster(run, config, changes)
+    for key, value in changes.items():
         *groups, name = key.split(".")
         node = config
         for group in groups:
@@ -60,6 +64,17 @@ def resumed_state(run: Path, config: Mapping[str, Any]) -> dict[str, Any] | None
             "put it back, or train anew"
         )
     return state
+
+
+def _check_cluster(run: Path, config: Mapping[str, Any], changes: Mapping[str, Any]) -> None:
+    """Refuses to join a cluster that the run's folder alone names, since it could run any program here."""
+    node = config.get("collector")
+    address = node.get("address") if isinstance(node, Mapping) else None
+    if address is not None and "collector.address" not in changes:
+        raise ConfigError(
+            f"run '{run}' was driven by a Ray cluster at {shown(address)}; if you trust it, name it again: "
+            "collector.address=HOST:PORT; or give collector.address=null for one on this machine"
+        )
 
 
 def _check_is_whole_run(run: Path) -> None:
