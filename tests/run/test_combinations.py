@@ -80,6 +80,7 @@ REFUSED = [
     (["loss=ddqn"], "Could not find 'loss/ddqn'"),
     (["gradient_clipping=norm", "gradient_clipping.max_norm=0"], "gradient_clipping.max_norm is 0; it must be"),
     (["data=log", "data.path=x.mcap", "returns=n_step"], "returns are over several steps"),
+    (["collector=ray", "returns=n_step"], "collector=ray may break an episode off"),
 ]
 
 
