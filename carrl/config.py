@@ -25,6 +25,11 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "collector": ("carrl.data.collector.make_collector",),
     "replay_buffer": ("carrl.data.replay_buffer.make_replay_buffer",),
     "recorder": ("carrl.record.writer.LogWriter",),
+    "logger": (
+        "carrl.run.scalars.make_tensorboard",
+        "carrl.run.scalars.make_wandb",
+        "carrl.run.scalars.make_mlflow",
+    ),
     "trainer": ("carrl.run.plan.TrainingPlan",),
     "evaluation": ("carrl.run.plan.EvaluationPlan",),
     "data": ("carrl.run.plan.OfflinePlan",),
