@@ -26,7 +26,7 @@ def main(argv: list[str]) -> int:
     resumed = [argument.removeprefix(RESUME) for argument in argv if argument.startswith(RESUME)]
     if resumed and resumed[-1] not in ("", "null"):
         return _resume(Path(resumed[-1]), [argument for argument in argv if not argument.startswith(RESUME)])
-    arguments = [override for argument in argv for override in _name_files(argument)]
+    arguments = [override for argument in argv for override in name_files(argument)]
     if any(flag in arguments for flag in FLAGS):
         return sweep(arguments, _run_hydra)
     failures: list[CarrlError] = []
@@ -70,7 +70,7 @@ def _resume(run: Path, arguments: list[str]) -> int:
     return 0
 
 
-def _name_files(argument: str) -> list[str]:
+def name_files(argument: str) -> list[str]:
     """Makes paths of files absolute and quotes them, as Hydra reads a path such as `seed=0/train.mcap` only quoted.
 
     `track=FILE` stands for the track group's option `file`; FILE,FILE sweeps. `data.path=[FILE,FILE]` is a list.
