@@ -86,13 +86,14 @@ class SweepFolder:
 
 def read_summaries(job: Path) -> list[dict[str, Any]]:
     """The summaries of a job's agents, by seed; none of those that have not come so far."""
-    summaries = []
+    summaries = {}
     for file in (*job.glob(SUMMARY), *job.glob(f"seed=*/{SUMMARY}")):
         try:
-            summaries.append(json.loads(read_text(file)))
-        except (CarrlError, ValueError):
+            summary = json.loads(read_text(file))
+            summaries[int(summary["seed"])] = summary
+        except (CarrlError, ValueError, KeyError, TypeError):  # damaged, and to be trained anew
             continue
-    return sorted(summaries, key=lambda summary: int(summary["seed"]))
+    return [summaries[seed] for seed in sorted(summaries)]
 
 
 def job_name(overrides: Sequence[str], fixed: Collection[str] = ()) -> str:

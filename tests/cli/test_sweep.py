@@ -118,7 +118,7 @@ def test_a_launcher_runs_jobs_in_other_processes(package, launcher, tmp_path):
     command = [sys.executable, "-m", "carrl.cli.main", "train", "-m", *overrides, *workers]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=os.environ)
     assert done.returncode == 2, done.stderr
-    assert done.stderr.splitlines()[-1] == "carrl: vehicle.speed is -3; it must be a positive number of m/s"
+    assert done.stderr.splitlines()[-1] == "carrl: vehicle.speed is -3; it must be a positive number"
     assert [note.state for note in SweepFolder(tmp_path).notes().values()] == ["finished", "failed", "finished"]
 
 
