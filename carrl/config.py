@@ -45,6 +45,11 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.data.replay_buffer.make_prioritized_replay_buffer",
     ),
     "recorder": ("carrl.record.writer.LogWriter",),
+    "logger": (
+        "carrl.run.scalars.make_tensorboard",
+        "carrl.run.scalars.make_wandb",
+        "carrl.run.scalars.make_mlflow",
+    ),
     "trainer": ("carrl.run.plan.TrainingPlan",),
     "evaluation": ("carrl.run.plan.EvaluationPlan",),
     "data": ("carrl.run.plan.OfflinePlan",),

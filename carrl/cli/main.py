@@ -9,6 +9,7 @@ from carrl.printable import printable
 
 VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
+    "tune": "search for the settings that do best (carrl tune experiment=tune --trials 20)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
     "drive": "drive a track yourself, with the keyboard",
     "report": "compare runs: tables, figures, and which differences are significant",

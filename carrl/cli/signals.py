@@ -15,7 +15,10 @@ INTERRUPTED = 130
 
 @contextmanager
 def stopping_on_signals(trainer: Training) -> Iterator[None]:
-    """Lets the first SIGINT or SIGTERM end the run with everything saved, and the second end the process at once."""
+    """Lets the first SIGINT or SIGTERM end the run with everything saved, and the second end the process at once.
+
+    Those that this process ignores it goes on to ignore.
+    """
 
     def stop(_number: int, _frame: object) -> None:
         if trainer.stopping:
@@ -25,7 +28,8 @@ def stopping_on_signals(trainer: Training) -> Iterator[None]:
             os._exit(INTERRUPTED)
         trainer.interrupt()
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    heeded = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
+    previous = {number: signal.signal(number, stop) for number in heeded}
     try:
         yield
     finally:

@@ -5,15 +5,17 @@ What trains is imported once the configuration is composed, so that a misspelt k
 
 import os
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from carrl.cli.plain import plain
+from carrl.cli.sweep import FLAGS, sweep
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 
@@ -27,8 +29,9 @@ def main(argv: list[str]) -> int:
     resumed = [argument.removeprefix(RESUME) for argument in argv if argument.startswith(RESUME)]
     if resumed and resumed[-1] not in ("", "null"):
         return _resume(Path(resumed[-1]), [argument for argument in argv if not argument.startswith(RESUME)])
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of Hydra's own printer, which exits with 1
-    sys.argv = ["carrl train", *(override for argument in argv for override in _name_files(argument))]
+    arguments = [override for argument in argv for override in name_files(argument)]
+    if any(flag in arguments for flag in FLAGS):
+        return sweep(arguments, _run_hydra)
     failures: list[CarrlError] = []
 
     def job(config: DictConfig) -> None:
@@ -36,20 +39,33 @@ def main(argv: list[str]) -> int:
 
         path = Path(HydraConfig.get().runtime.output_dir)
         try:
-            train(_plain(config), path)
-        except CarrlError as error:  # kept from Hydra, which would print it in its own way and stop a sweep
+            train(plain(config), path)
+        except CarrlError as error:  # kept from Hydra, which would print it in its own way
             failures.append(error)
             _remove_unless_begun(path)
 
+    _run_hydra(arguments, job)
+    if failures:
+        raise failures[0]
+    return 0
+
+
+def _run_hydra(arguments: Sequence[str], job: Callable[[DictConfig], None]) -> None:
+    """Runs Hydra, which composes the configuration and calls the job.
+
+    Raises:
+        CarrlError: the configuration cannot be composed, or the run's folder not be written.
+    """
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of Hydra's own printer, which exits with 1
+    sys.argv = ["carrl train", *arguments]
     try:
         hydra.main(version_base="1.3", config_path=str(config_dir()), config_name="train")(job)()
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(" ".join(str(error).split())) from error
+        launcher = "hydra/launcher" in str(error) and any("hydra/launcher=" in argument for argument in arguments)
+        remedy = "; joblib and submitit need pip install 'carrl[sweep]'" if launcher else ""
+        raise ConfigError(" ".join(str(error).split()) + remedy) from error
     except OSError as error:
         raise CarrlError(f"the run's folder '{error.filename}' cannot be written: {error.strerror}") from error
-    if failures:
-        raise CarrlError("; ".join(dict.fromkeys(map(str, failures))))
-    return 0
 
 
 def _resume(run: Path, arguments: list[str]) -> int:
@@ -73,20 +89,7 @@ def _remove_unless_begun(path: Path) -> None:
         path.rmdir()
 
 
-def _plain(config: DictConfig) -> dict[str, Any]:
-    """The configuration as plain values.
-
-    Raises:
-        ConfigError: a value is missing.
-    """
-    missing = sorted(OmegaConf.missing_keys(config))
-    if missing:
-        raise ConfigError(f"{missing[0]} has no value; give it one, as in carrl train ... {missing[0]}=FILE")
-    values: dict[str, Any] = OmegaConf.to_container(config, resolve=True)  # type: ignore[assignment]
-    return values
-
-
-def _name_files(argument: str) -> list[str]:
+def name_files(argument: str) -> list[str]:
     """Makes paths of files absolute and quotes them, as Hydra reads a path such as `seed=0/train.mcap` only quoted.
 
     `track=FILE` stands for the track group's option `file`; FILE,FILE sweeps. `data.path=[FILE,FILE]` is a list.

@@ -21,10 +21,11 @@ from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_
 from carrl.run.offline_folder import OfflineRunFolder
 from carrl.run.offline_trainer import OfflineTrainer
 from carrl.run.provenance import describe_run
+from carrl.run.scalars import Scalars
 from carrl.run.state_file import StateFile
 from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
-from carrl.view.console import Display, OfflineDisplay, TrainingDisplay, print_summaries, print_summary
+from carrl.view.console import Display, OfflineDisplay, Silence, TrainingDisplay, print_summaries, print_summary
 
 Config = dict[str, Any]
 
@@ -39,13 +40,16 @@ class Session:
     context: Mapping[str, Any] = field(default_factory=dict)
 
 
-def train(config: Config, path: Path, state: dict[str, Any] | None = None) -> None:
-    """Trains, and leaves the results in the run's folder.
+def train(
+    config: Config, path: Path, state: dict[str, Any] | None = None, display: Display[Any] | Silence | None = None
+) -> list[dict[str, Any]]:
+    """Trains, leaves the results in the run's folder, and returns every agent's summary.
 
     Args:
         config: resolved, as plain values.
         path: the run's folder.
         state: of a run that was broken off, to go on with it; None to begin.
+        display: what to call after every round instead of showing progress and results on the terminal.
 
     Raises:
         CarrlError: whatever ended the run before its time.
@@ -60,16 +64,24 @@ def train(config: Config, path: Path, state: dict[str, Any] | None = None) -> No
         session = prepare(config, path, state, stack)
         if state is not None:
             session.trainer.load_state_dict(state)
-        with stopping_on_signals(session.trainer), session.display, suppress(KeyboardInterrupt):
-            session.trainer.run(session.display)
+        shown = display or session.display
+        with stopping_on_signals(session.trainer), shown, suppress(KeyboardInterrupt):
+            session.trainer.run(shown)
         summaries = _write_summaries(session)
     if session.trainer.stopping:
-        print(f"interrupted; everything is saved: go on with carrl train resume={path}")
+        if display is None:
+            print(f"interrupted; everything is saved: go on with carrl train resume={path}")
         raise KeyboardInterrupt
     for run in session.trainer.runs:
         if isinstance(session.trainer, Trainer):
             _draw_learning_curve(run)
         _draw_lap(session.learning.world, run)
+    if display is None:
+        _print(summaries, session, path)
+    return summaries
+
+
+def _print(summaries: list[dict[str, Any]], session: Session, path: Path) -> None:
     if session.learning.plan.seeds is None:
         print_summary(summaries[0], path)
     else:
@@ -84,9 +96,9 @@ def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack:
     state_file = StateFile(path, config, plan.checkpoint_interval)
     for index, agent in enumerate(pipeline.agents):
         own_path, own_config = _folder_of(path, config, agent.seed)
-        own_state = state["folders"][index] if state else None
+        own_state, scalars = state["folders"][index] if state else None, _open_scalars(own_path, own_config)
         log = _open_log(own_path, own_config, pipeline, agent.seed, own_state, state_file)
-        folders.append(stack.enter_context(RunFolder(own_path, log, own_state)))
+        folders.append(stack.enter_context(RunFolder(own_path, log, own_state, scalars)))
     trainer = Trainer(pipeline, folders, state_file)
     return Session(pipeline, trainer, TrainingDisplay(plan.frames, plan.episodes))
 
@@ -97,9 +109,9 @@ def _prepare_offline(config: Config, path: Path, state: Mapping[str, Any] | None
     _write_config(path, config)
     folders = []
     for index, agent in enumerate(pipeline.agents):
-        own_path, _ = _folder_of(path, config, agent.seed)
-        own_state = state["folders"][index] if state else None
-        folders.append(stack.enter_context(OfflineRunFolder(own_path, state=own_state)))
+        own_path, own_config = _folder_of(path, config, agent.seed)
+        own_state, scalars = state["folders"][index] if state else None, _open_scalars(own_path, own_config)
+        folders.append(stack.enter_context(OfflineRunFolder(own_path, state=own_state, scalars=scalars)))
     trainer = OfflineTrainer(pipeline, folders, StateFile(path, config, pipeline.plan.checkpoint_interval))
     transitions = len(pipeline.replay_buffer)
     display = OfflineDisplay(pipeline.offline_plan.updates, transitions)
@@ -147,6 +159,13 @@ def _open_log(
         make_room=state_file.make_room,
     )
     return log
+
+
+def _open_scalars(path: Path, config: Config) -> Scalars | None:
+    if not config.get("logger"):
+        return None
+    scalars: Scalars = build_node("logger", config["logger"], folder=path, config=config)
+    return scalars
 
 
 def _as_yaml(config: Config) -> str:

@@ -29,6 +29,7 @@ from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.divergence import REPORT as DIVERGENCE
 from carrl.run.evaluation import Policy, greedy_policy
 from carrl.run.moment import Moment
+from carrl.run.scalars import Scalars
 from carrl.run.settings import put_back, read_settings
 from carrl.run.table import Table
 from carrl.run.trial import Trial
@@ -55,15 +56,22 @@ class RunFolder:
         path: of the folder.
         recorder: of the run's log, if it has one.
         state: `state_dict` of the folder of a run that was broken off, to go on with it from there.
+        scalars: takes the figures of the tables, too.
 
     Raises:
         CarrlError: the folder cannot be written.
     """
 
-    def __init__(self, path: Path, recorder: LogWriter | None = None, state: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        recorder: LogWriter | None = None,
+        state: Mapping[str, Any] | None = None,
+        scalars: Scalars | None = None,
+    ) -> None:
         """Opens the tables."""
         self.path = path
-        self._recorder = recorder
+        self._recorder, self._scalars = recorder, scalars
         self._settings = read_settings(path)
         remove_left_overs(path, path / "checkpoints", (path / CONFIG).parent)
         self._metrics = Table(path / METRICS, state["metrics"] if state else 0)
@@ -79,6 +87,8 @@ class RunFolder:
         """Completes the log and the tables, also after an error."""
         self._metrics.close()
         self._evaluations.close()
+        if self._scalars is not None:
+            self._scalars.close()
         if self._recorder is not None:
             self._recorder.close()
 
@@ -112,9 +122,9 @@ class RunFolder:
             self._recorder.put_back()
 
     @property
-    def has_log(self) -> bool:
-        """Whether transitions are logged at all."""
-        return self._recorder is not None
+    def takes_metrics(self) -> bool:
+        """Whether `add_metrics` has any use for them."""
+        return self._recorder is not None or self._scalars is not None
 
     def record(self, transitions: TensorDictBase) -> None:
         """Logs transitions [F]."""
@@ -125,6 +135,7 @@ class RunFolder:
         """Logs how learning goes after the transitions logged so far."""
         if self._recorder is not None:
             self._recorder.write_metrics(metrics)
+        self._add_scalars("training", metrics.frame, metrics._asdict())
 
     def flush(self) -> None:
         """Hands what was logged to the operating system, where it outlives this process."""
@@ -145,10 +156,17 @@ class RunFolder:
                 "wall_time_s": round(moment.wall_time_s, 3),
             }
         )
+        figures = {"return": episode.episode_return, "mean_return_20": recent_return}
+        self._add_scalars("episode", episode.frame, figures | {"length": episode.length, "gates": episode.gates})
 
     def add_evaluation(self, attempt: Trial, frames: int, episodes: int) -> None:
         """Adds a row to `evaluations.csv`."""
         self._evaluations.append({"frames": frames, "episodes": episodes, **attempt.measures()})
+        self._add_scalars("evaluation", frames, attempt.measures())
+
+    def _add_scalars(self, group: str, step: int, values: Mapping[str, Any]) -> None:
+        if self._scalars is not None:
+            self._scalars.add(group, step, values)
 
     def save_checkpoint(self, name: str, state: Mapping[str, Any]) -> None:
         """Writes `checkpoints/NAME.pt`."""

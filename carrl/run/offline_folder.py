@@ -36,3 +36,4 @@ class OfflineRunFolder(RunFolder):
         self._metrics.append(
             {name: round(value, 6) if isinstance(value, float) else value for name, value in asdict(learnt).items()}
         )
+        self._add_scalars("training", learnt.updates, asdict(learnt))

@@ -180,7 +180,7 @@ class Trainer(Training):
         self._measured, self._measured_at = self.frames, now
         losses = learner.losses.tolist()
         for index, run in self._active.items():
-            if run.folder.has_log:
+            if run.folder.takes_metrics:
                 metrics = Metrics(
                     frame=self.frames,
                     updates=learner.updates,

@@ -62,6 +62,22 @@ class Display(ABC, Generic[T]):
         """How it goes, in two lines."""
 
 
+class Silence:
+    """Shows nothing, where many runs share a terminal; used as a `Display` is."""
+
+    def __enter__(self) -> Self:
+        """Does nothing."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Does nothing."""
+
+    def __call__(self, trainer: Any) -> None:
+        """Does nothing."""
+
+
 class TrainingDisplay(Display[Trainer]):
     """Shows how training in the simulator goes."""
 

@@ -1,0 +1,235 @@
+"""`carrl tune`: searches for the settings that do best, and gives up hopeless trials early."""
+
+import argparse
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from carrl.cli.plain import plain
+from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
+from carrl.cli.train import name_files
+from carrl.cli.training import train
+from carrl.config import config_dir
+from carrl.errors import CarrlError, ConfigError
+from carrl.run.objective import OBJECTIVES, Objective
+from carrl.run.trainer import Trainer
+from carrl.view.console import Silence
+from carrl.view.tuning import TrialRow, TuningConsole
+
+STUDY = "study.db"
+WARM_UP_TRIALS, WARM_UP_EVALUATIONS = 4, 2
+"""Before these no trial is given up: by then the median means something."""
+_ASKED, _ERROR = "asked", "error"
+
+
+def main(argv: list[str]) -> int:
+    """Runs trials, prints them as a table, and the command that trains with the best settings."""
+    arguments = _parser().parse_intermixed_args(argv)
+    if find_spec("optuna") is None:
+        raise ConfigError("carrl tune needs optuna; pip install 'carrl[tune]'")
+    if arguments.trials < 1:
+        raise ConfigError(f"--trials is {arguments.trials}; it must be at least 1")
+    overrides = [override for each in arguments.overrides for override in name_files(each)]
+    config = _compose(overrides)
+    if config.get("data"):
+        raise ConfigError("data is given, but only training in the simulator can be tuned; leave data=log out")
+    space = parse_search_space(config.get(SEARCH))
+    folder = arguments.folder or Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}")
+    tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder)
+    study = _open_study(arguments, tuning, config["seed"])
+    console = TuningConsole(arguments.trials, tuple(space), maximizes=tuning.objective.direction == "maximize")
+    deadline = time.monotonic() + arguments.timeout if arguments.timeout else None
+    try:
+        while len(done := _rows(study)) < arguments.trials and (deadline is None or time.monotonic() < deadline):
+            console.show_rest(done)
+            tuning.run_trial(study)
+            console.show(_rows(study))
+    except KeyboardInterrupt:
+        print(f"interrupted; go on with the same command and --folder {folder}")
+        raise
+    finally:
+        console.print_results(_rows(study))
+    _print_best(study, tuning)
+    return 0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What is tuned.
+
+    Attributes:
+        overrides: of every trial.
+        space: what each trial draws besides.
+        objective: what is sought.
+        folder: of the study; each trial has a run's folder in it.
+    """
+
+    overrides: Sequence[str]
+    space: SearchSpace
+    objective: Objective
+    folder: Path
+
+    def run_trial(self, study: Any) -> None:
+        """Draws settings, trains with them, and tells the study what came of it.
+
+        Raises:
+            ConfigError: the settings are none that can be trained with.
+            KeyboardInterrupt: a signal ended the trial.
+        """
+        from optuna.trial import TrialState
+
+        trial = study.ask()
+        drawn = [f"{key}={values.suggest(trial, key)}" for key, values in self.space.items()]
+        judge = None
+        try:
+            config = _compose([*self.overrides, *drawn])
+            config.pop(SEARCH)
+            judge = _Judge(trial, self.objective, config)
+            train(config, self.folder / f"trial={trial.number}", None, judge)
+        except KeyboardInterrupt:  # how a run ends that was told to stop
+            if judge is None or judge.verdict is None:
+                study.tell(trial, state=TrialState.FAIL)
+                raise
+        except CarrlError as error:
+            trial.set_user_attr(_ERROR, str(error))
+            study.tell(trial, state=TrialState.FAIL)
+            if isinstance(error, ConfigError):
+                raise
+            return
+        if judge is not None and judge.verdict == "hopeless":
+            study.tell(trial, state=TrialState.PRUNED)
+        elif judge is not None:
+            study.tell(trial, judge.value)
+
+
+class _Judge(Silence):
+    """Follows a trial's greedy drives, and ends it as soon as it is settled or hopeless."""
+
+    def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:
+        self._trial, self._objective = trial, objective
+        self._frames, self._interval = config["trainer"]["frames"], config["evaluation"]["interval"]
+        self._judged = 0
+        self._runs: Sequence[Any] = ()
+        self.verdict: str | None = None
+
+    @property
+    def value(self) -> float:
+        """Of the trial so far."""
+        return self._objective.value(self._runs, self._frames)
+
+    def __call__(self, trainer: Trainer) -> None:
+        self._runs = trainer.runs
+        evaluations = trainer.frames // self._interval  # not frames, which differ with env.num_envs
+        if evaluations == self._judged:
+            return
+        self._judged = evaluations
+        self._trial.report(self.value, evaluations)
+        if self._objective.is_settled(self._runs):
+            for later in range(evaluations + 1, self._frames // self._interval + 1):
+                self._trial.report(self.value, later)  # so that others are still measured by it
+            self.verdict = "settled"
+        elif self._trial.should_prune():
+            self.verdict = "hopeless"
+        if self.verdict is not None:
+            trainer.stop()
+
+
+def _compose(overrides: Sequence[str]) -> dict[str, Any]:
+    """The resolved configuration with these overrides.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    try:
+        with initialize_config_dir(str(config_dir()), version_base="1.3"):
+            return plain(compose("train", list(overrides)))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(" ".join(str(error).split())) from error
+
+
+def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any:
+    """The study in the storage, new or to go on with.
+
+    Raises:
+        ConfigError: the storage cannot be used, or has a study of something else.
+    """
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    tuning.folder.mkdir(parents=True, exist_ok=True)
+    storage = arguments.storage or f"sqlite:///{tuning.folder.absolute()}/{STUDY}"
+    pruner = optuna.pruners.MedianPruner(WARM_UP_TRIALS, WARM_UP_EVALUATIONS)
+    try:
+        study = optuna.create_study(
+            storage=storage,
+            study_name="carrl",
+            direction=tuning.objective.direction,
+            pruner=optuna.pruners.NopPruner() if arguments.no_pruning else pruner,
+            load_if_exists=True,
+        )
+    except Exception as error:  # of SQLAlchemy and its drivers
+        raise ConfigError(f"--storage '{storage}' cannot be used: {str(error).splitlines()[0]}") from error
+    study.sampler = optuna.samplers.TPESampler(seed=(seed + len(study.trials)) % 2**32)
+    asked = [*tuning.overrides, f"--objective {arguments.objective}", *map(str, tuning.space.items())]
+    if study.user_attrs.get(_ASKED, asked) != asked:
+        raise ConfigError(f"'{storage}' has a study of something else; give another --folder or --storage")
+    study.set_user_attr(_ASKED, asked)
+    return study
+
+
+def _rows(study: Any) -> list[TrialRow]:
+    """The trials that came to an end of their own."""
+    ends = {"COMPLETE": "complete", "PRUNED": "given up", "FAIL": "failed"}
+    return [
+        TrialRow(
+            trial.number,
+            ends[trial.state.name],
+            trial.value if trial.state.name == "COMPLETE" else None,
+            {key: str(value) for key, value in trial.params.items()},
+            (trial.duration.total_seconds() if trial.duration else 0.0),
+            trial.user_attrs.get(_ERROR),
+        )
+        for trial in study.get_trials(deepcopy=False)
+        if trial.state.name in ("COMPLETE", "PRUNED") or _ERROR in trial.user_attrs
+    ]
+
+
+def _print_best(study: Any, tuning: Tuning) -> None:
+    complete = [row for row in _rows(study) if row.value is not None]
+    if not complete:
+        raise CarrlError("no trial was completed; allow more --trials or a longer --timeout")
+    best = study.best_trial
+    drawn = [f"{key}={value}" for key, value in best.params.items()]
+    command = f"carrl train {shlex.join([*tuning.overrides, *drawn])}"
+    print(f"trial {best.number} is the best; train with its settings:\n\n  {command}")
+    print(f"\nresults in {tuning.folder.absolute()}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="carrl tune",
+        description="Searches for the settings that do best, with Optuna. The configuration's key search says among "
+        "which; conf/experiment/tune.yaml is an example.",
+    )
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as for carrl train: experiment=tune seed=1")
+    parser.add_argument("--trials", type=int, default=20, metavar="N", help="of the study in all (default: 20)")
+    parser.add_argument("--timeout", type=float, metavar="S", help="begin no further trial after so many seconds")
+    parser.add_argument(
+        "--objective",
+        choices=OBJECTIVES,
+        default="first_lap",
+        help="first_lap: env steps until the greedy policy first laps (default); drive: how well it drives at its best",
+    )
+    parser.add_argument("--no-pruning", action="store_true", help="give up no trial before its end")
+    parser.add_argument("--folder", type=Path, help="of the study, to go on with it (default: outputs/tune/DATE/TIME)")
+    parser.add_argument("--storage", metavar="URL", help=f"of the study (default: sqlite:///FOLDER/{STUDY})")
+    return parser

@@ -1,0 +1,150 @@
+"""`carrl tune`: its trials, giving up, going on, and bad input."""
+
+import math
+from importlib.util import find_spec
+from types import SimpleNamespace
+
+import pytest
+
+from carrl.cli.main import main
+from carrl.cli.search_space import Choice, Range, parse_search_space
+from carrl.errors import ConfigError
+from carrl.run.objective import OBJECTIVES
+
+needs_optuna = pytest.mark.skipif(find_spec("optuna") is None, reason="optuna is absent: pip install 'carrl[tune]'")
+TINY = ["experiment=tune", "compile=false", "track=oval", "trainer.seeds=null", "trainer.frames=32"]
+TINY += ["evaluation.interval=16", "replay_buffer.batch_size=16"]
+
+
+def tune(folder, *arguments):
+    return main(["tune", *TINY, *arguments, "--folder", str(folder)])
+
+
+@needs_optuna
+def test_the_best_settings_are_printed_ready_to_paste(tmp_path, capsys):
+    assert tune(tmp_path, "--trials", "2") == 0
+    output = capsys.readouterr()
+    assert "2 trials" in output.out
+    (command,) = (line.strip() for line in output.out.splitlines() if "carrl train" in line)
+    assert command.startswith("carrl train experiment=tune compile=false")
+    assert "optimizer.lr=" in command and "target_updater.period=" in command
+    assert {path.name for path in tmp_path.iterdir()} == {"study.db", "trial=0", "trial=1"}
+    assert "[2/2]" in output.err
+
+
+@needs_optuna
+def test_a_study_goes_on_where_it_ended_but_not_with_something_else(tmp_path, capsys):
+    assert tune(tmp_path, "--trials", "1") == 0
+    assert tune(tmp_path, "--trials", "2") == 0
+    assert "2 trials" in capsys.readouterr().out
+    assert not (tmp_path / "trial=2").exists()
+    assert tune(tmp_path, "--trials", "3", "--objective", "drive") == 2
+    assert "has a study of something else" in capsys.readouterr().err
+
+
+class Trial:
+    """A trial that is hopeless after so many reports."""
+
+    def __init__(self, hopeless_after):
+        self.reports, self._hopeless_after = {}, hopeless_after
+
+    def report(self, value, step):
+        self.reports[step] = value
+
+    def should_prune(self):
+        return len(self.reports) >= self._hopeless_after
+
+
+class Training:
+    """A training whose cars' best drives make so much progress."""
+
+    def __init__(self, frames, progress, first_lap=None):
+        lap = SimpleNamespace(frame=first_lap) if first_lap else None
+        best = SimpleNamespace(progress=progress, lap_completed=bool(lap), forward_share=0.5, near_wall_share=0.25)
+        self.frames, self.runs, self.stopped = frames, [SimpleNamespace(first_lap=lap, best=best)], False
+
+    def stop(self):
+        self.stopped = True
+
+
+@pytest.fixture
+def judge_of():
+    from carrl.cli.tune import _Judge
+
+    config = {"trainer": {"frames": 1000}, "evaluation": {"interval": 250}}
+    return lambda trial, objective="first_lap": _Judge(trial, OBJECTIVES[objective], config)
+
+
+def test_a_hopeless_trial_is_stopped(judge_of):
+    trial = Trial(hopeless_after=2)
+    judge, first, second = judge_of(trial), Training(250, 0.1), Training(504, 0.25)
+    judge(first)
+    judge(Training(256, 0.1))  # no evaluation since
+    assert (first.stopped, judge.verdict) == (False, None)
+    judge(second)
+    assert (second.stopped, judge.verdict) == (True, "hopeless")
+    assert trial.reports == {1: 1900.0, 2: 1750.0}
+
+
+def test_a_trial_that_has_lapped_is_settled_and_still_measures_the_others(judge_of):
+    trial, training = Trial(hopeless_after=9), Training(504, 1.0, first_lap=504)
+    judge = judge_of(trial)
+    judge(training)
+    assert (training.stopped, judge.verdict, judge.value) == (True, "settled", 504.0)
+    assert trial.reports == {2: 504.0, 3: 504.0, 4: 504.0}
+
+
+def test_a_lap_is_worth_more_than_progress_and_a_smooth_one_more_still(judge_of):
+    judge = judge_of(Trial(9), "drive")
+    judge(Training(250, 0.9))
+    assert judge.value == 0.9
+    judge(Training(500, 1.0, first_lap=500))
+    assert math.isclose(judge.value, 1.0 + 0.5 + 0.75)
+    assert judge.verdict is None  # it may drive better yet
+
+
+def test_a_search_space_has_ranges_and_choices():
+    node = {"a.b": {"low": 1, "high": 8, "log": True}, "c": {"choices": [[16, 8], "dqn", 0.5, None]}}
+    assert parse_search_space(node) == {"a.b": Range(1, 8, True), "c": Choice(("[16,8]", "dqn", "0.5", "null"))}
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"low": 1},
+        {"low": 2, "high": 1},
+        {"low": 0, "high": 1, "log": True},
+        {"low": "x", "high": "y"},
+        {"choices": []},
+        {"choices": [1], "low": 0},
+        3,
+    ],
+)
+def test_a_wrong_search_space_is_named(entry):
+    with pytest.raises(ConfigError, match=r"search\.a is .*; it must be choices: \[\.\.\.\] or low: and high:"):
+        parse_search_space({"a": entry})
+
+
+@needs_optuna
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["experiment=fast"], "the configuration has no search"),
+        (["experiment=none"], "Available options in 'experiment'"),
+        (["experiment=tune", "--trials", "0"], "--trials is 0"),
+        (["experiment=tune", "data=log", "data.path=x.mcap"], "only training in the simulator can be tuned"),
+        (["experiment=tune", "~search", "+search={optimizer.rl:{choices:[1]}}"], "optimizer.rl"),
+        (["experiment=tune", "--storage", "nowhere"], "--storage 'nowhere' cannot be used"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(arguments, message, tmp_path, capsys):
+    assert main(["tune", *arguments, "--folder", str(tmp_path)]) == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+def test_tuning_without_optuna_is_refused_with_the_remedy(monkeypatch, capsys):
+    monkeypatch.setattr("carrl.cli.tune.find_spec", lambda name: None)
+    assert main(["tune", "experiment=tune"]) == 2
+    assert capsys.readouterr().err == "carrl: carrl tune needs optuna; pip install 'carrl[tune]'\n"
