@@ -36,7 +36,7 @@ What each part of learning does to the first lap stands in [results.md](results.
 Everything else goes together, several agents (`trainer.seeds`) and `resume=RUN` included. `network=noisy` explores by itself,
 so that `exploration=constant exploration.epsilon=0` is its usual companion, but it need not be.
 """  # noqa: E501 (a table's row is one line)
-KEY = re.compile(r"(?P<indent> *)(?P<key>[\w/]+):(?: +(?P<value>[^#]*?))?(?: +# (?P<comment>.*))?")
+KEY = re.compile(r"(?P<indent> *)(?P<key>[\w/.]+):(?: +(?P<value>[^#]*?))?(?: +# (?P<comment>.*))?")
 
 
 def page() -> str:

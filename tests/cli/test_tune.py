@@ -60,7 +60,8 @@ class Training:
 
     def __init__(self, frames, progress, first_lap=None):
         lap = SimpleNamespace(frame=first_lap) if first_lap else None
-        best = SimpleNamespace(progress=progress, lap_completed=bool(lap), forward_share=0.5, near_wall_share=0.25)
+        measures = {"progress": progress, "lap_completed": bool(lap), "forward_share": 0.5, "near_wall_share": 0.25}
+        best = SimpleNamespace(measures=lambda: measures)
         self.frames, self.runs, self.stopped = frames, [SimpleNamespace(first_lap=lap, best=best)], False
 
     def stop(self):

@@ -70,7 +70,10 @@ REFUSED = [
     (["loss=dueling", "network=noisy"], "loss is dueling, and the network is not"),
     (["target_updater=soft", "target_updater.tau=2"], "target_updater.tau is 2; it must be more than 0"),
     (["learning_rate=linear", "learning_rate.final_share=nan"], "learning_rate.final_share is nan"),
-    (["exploration=linear", "exploration.epsilon_max=nan"], "exploration.epsilon_min is 0.01 and epsilon_max is nan"),
+    (
+        ["exploration=linear", "exploration.epsilon_max=nan"],
+        "exploration.epsilon_max is nan; it must be a finite number",
+    ),
     (["returns=n_step", "returns.steps=0"], "returns.steps is 0; it must be at least 1"),
     (["returns=n_step", "returns.steps=2.5"], "returns.steps is 2.5; it must be of type int"),
     (["optimizer.lr=fast"], "optimizer.lr is 'fast'"),
