@@ -72,7 +72,7 @@ REFUSED = [
     (["learning_rate=linear", "learning_rate.final_share=nan"], "learning_rate.final_share is nan"),
     (
         ["exploration=linear", "exploration.epsilon_max=nan"],
-        "exploration.epsilon_max is nan; it must be a finite number",
+        "exploration.epsilon_max is nan; it must be a finite",
     ),
     (["returns=n_step", "returns.steps=0"], "returns.steps is 0; it must be at least 1"),
     (["returns=n_step", "returns.steps=2.5"], "returns.steps is 2.5; it must be of type int"),
