@@ -22,13 +22,13 @@ Wanted = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def find_crossings(lines: np.ndarray, others: np.ndarray, wanted: Wanted, most: int = MOST_CROSSINGS) -> np.ndarray:
-    """Pairs of indices of lines and of others that meet and are wanted, [K, 2]; about `most` if there are more.
+    """Pairs of indices of lines and of others that meet and are wanted, [K, 2]; `most` and one if there are more.
 
     Args:
         lines: shapely geometries.
         others: likewise; may be the same.
         wanted: which pairs count.
-        most: how many of them to find at least before the search ends.
+        most: how many of them to find before the search ends.
 
     Raises:
         TrackError: so many lines are near each other that to look at all pairs would take long.
@@ -46,8 +46,8 @@ def find_crossings(lines: np.ndarray, others: np.ndarray, wanted: Wanted, most: 
         keep = wanted(one, other)
         one, other = one[keep], other[keep]
         keep = shapely.intersects(lines[one], others[other])
-        found.append(np.stack([one[keep], other[keep]], axis=1))
-        count += int(keep.sum())
+        found.append(np.stack([one[keep], other[keep]], axis=1)[: most + 1 - count])
+        count += len(found[-1])
         if count > most:
             break
     return np.concatenate(found)
