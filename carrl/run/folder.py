@@ -188,6 +188,8 @@ def checkpoint_path(run: Path, name: str) -> Path:
 
 def seed_folders(run: Path) -> list[Path]:
     """The folders of a run's seeds in their order, where it has several; else the run's own."""
+    if not os.path.isdir(run):
+        return [run]
     found = [path.parents[1] for path in run.glob(f"seed=*/{CONFIG}") if path.parents[1].name[5:].isdecimal()]
     return sorted(found, key=lambda folder: int(folder.name[5:])) or [run]
 
