@@ -1,6 +1,7 @@
 """What the processes that a test has started are, and what they listen to; from /proc, so on Linux alone."""
 
 import os
+import sys
 from pathlib import Path
 
 _LISTENS = "0A"
@@ -50,3 +51,13 @@ def _open_files(pid: int) -> list[str]:
         return [os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir()]
     except OSError:
         return []
+
+
+def carrl_command(prelude: str = "pass") -> list[str]:
+    """The command `carrl`, which heeds SIGINT even where this process, started in the background, ignores it.
+
+    Args:
+        prelude: Python code to run first.
+    """
+    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    return [sys.executable, "-c", f"{prelude}; {heed}; import sys; from carrl.cli.main import main; sys.exit(main())"]

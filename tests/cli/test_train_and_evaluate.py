@@ -2,10 +2,8 @@
 
 import csv
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
@@ -14,6 +12,7 @@ import yaml
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
 from carrl.run.report.runs import find_runs
+from tests.processes import carrl_command
 
 TINY = [
     "compile=false",
@@ -269,8 +268,8 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_saves_everything(number, tmp_path):
     overrides = ["track=oval", "compile=false", f"hydra.run.dir={tmp_path}"]
-    command = [sys.executable, "-m", "carrl.cli.main", "train", *overrides]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ)
+    command = [*carrl_command(), "train", *overrides]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 60
     metrics = tmp_path / "metrics.csv"
     while not (metrics.exists() and metrics.stat().st_size) and time.monotonic() < deadline:

@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -15,6 +14,7 @@ import pytest
 
 from carrl.cli.main import main
 from carrl.log import load, verify
+from tests.processes import carrl_command
 
 FRAMES = 1600
 OVERRIDES = [
@@ -28,9 +28,9 @@ OVERRIDES = [
 CARRL = [sys.executable, "-m", "carrl.cli.main"]
 
 
-def start(folder, *overrides, **options):
-    """A run in a process of its own."""
-    command = [*CARRL, "train", *OVERRIDES, f"hydra.run.dir={folder}", *overrides]
+def start(folder, *overrides, prelude="pass", **options):
+    """A run in a process of its own, which runs the prelude first."""
+    command = [*carrl_command(prelude), "train", *OVERRIDES, f"hydra.run.dir={folder}", *overrides]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
 
@@ -172,13 +172,9 @@ def test_a_loss_that_is_not_a_number_tells_its_update_batch_and_norms(tmp_path, 
 @pytest.mark.slow
 def test_memory_that_runs_out_ends_the_run_with_a_sentence(tmp_path):
     run = tmp_path / "run"
-    limit = 6 * 2**30
-
-    def bound_memory():
-        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
+    bound_memory = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({6 * 2**30}, {6 * 2**30}))"
     capacity = "replay_buffer.capacity=100000000"  # of 70 bytes each
-    sentence = last_words(start(run, capacity, preexec_fn=bound_memory))
+    sentence = last_words(start(run, capacity, prelude=bound_memory))
     assert "out of memory; set a smaller replay_buffer.capacity" in sentence
     verify(run / "train.mcap")
     assert (run / "checkpoints" / "state.pt").exists()
