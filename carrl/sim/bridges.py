@@ -61,6 +61,12 @@ def on_two_levels(bridges: Sequence[Bridge], length: float, one: np.ndarray, oth
     return apart
 
 
+def check_road(centreline: np.ndarray) -> None:
+    """Raises TrackError for a road [P, 2], m, that crosses itself too often to look for its folds and bridges."""
+    if not LinearRing(centreline).is_simple:
+        _crossing_segments(centreline)
+
+
 def find_bridges(name: str, centreline: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[Bridge, ...]:
     """The bridges of a road, by the station of their lower stretch.
 

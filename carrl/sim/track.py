@@ -17,7 +17,7 @@ from torch import Tensor
 
 from carrl.errors import TrackError
 from carrl.sim import builtin
-from carrl.sim.bridges import Bridge, find_bridges
+from carrl.sim.bridges import Bridge, check_road, find_bridges
 from carrl.sim.centreline import Centreline
 from carrl.sim.csv_file import read_csv
 from carrl.sim.drawing_file import MIN_GATE_SPACING, read_drawing
@@ -160,6 +160,7 @@ class Track:
         Raises:
             TrackError: the centreline crosses itself where no bridge can be made of it.
         """
+        check_road(centreline)
         left, right = cut_folds(left_wall, centreline), cut_folds(right_wall, centreline)
         return Track(
             name=name,
