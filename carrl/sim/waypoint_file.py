@@ -73,7 +73,8 @@ def _read_array(path: Path) -> np.ndarray:
     if len(content) - file.tell() < math.prod(shape) * kind.itemsize:
         raise TrackError(f"track '{path.name}': the file ends before its {shape[0]} rows do; copy it again")
     numbers = np.frombuffer(content, kind, math.prod(shape), file.tell())
-    return numbers.reshape(shape, order="F" if columns_first else "C").astype(np.float64)
+    with np.errstate(all="ignore"):  # NumPy warns of numbers that are none; the caller refuses them
+        return numbers.reshape(shape, order="F" if columns_first else "C").astype(np.float64)
 
 
 def _checked(path: Path, table: np.ndarray) -> np.ndarray:

@@ -248,3 +248,10 @@ def test_a_small_file_that_stands_for_a_huge_list_is_refused_at_once(load):
     nested = "corners: [&a [&b [1, 1, 1, 1, 1, 1], *b, *b, *b, *b, *b], *a, *a]\n"
     with pytest.raises(TrackError, match=re.escape("corners: row 1 is [[1, 1")):
         load("bomb.yaml", nested + SIZES)
+
+
+def test_waypoints_that_signal_that_they_are_no_numbers_are_refused_without_a_warning(tmp_path):
+    table = np.full((4, 6), 0x7FA00000, dtype=np.uint32).view(np.float32)
+    np.save(tmp_path / "signals.npy", table)
+    with pytest.raises(TrackError, match="it must be a finite number of metres"):
+        Track.load(tmp_path / "signals.npy")
