@@ -13,7 +13,7 @@ from torchrl import logger as torchrl_logger
 
 from carrl.cli.signals import stopping_on_signals
 from carrl.config import build_node
-from carrl.errors import CarrlError, ConfigError
+from carrl.errors import CarrlError, CheckpointError, ConfigError
 from carrl.record.writer import LogWriter
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning, Pipeline, World, build_offline_pipeline, build_pipeline, learns_from_logs
@@ -61,7 +61,12 @@ def train(
     torch.set_num_threads(config["threads"])
     with _naming_exhaustion(), ExitStack() as stack:
         prepare = _prepare_offline if learns_from_logs(config) else _prepare
-        session = prepare(config, path, state, stack)
+        try:
+            session = prepare(config, path, state, stack)
+        except (KeyError, TypeError, IndexError, AttributeError) as error:
+            if state is None:
+                raise
+            raise CheckpointError(f"run '{path}': the state does not fit the run's configuration: {error}") from error
         if state is not None:
             session.trainer.load_state_dict(state)
         shown = display or session.display

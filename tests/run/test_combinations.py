@@ -53,6 +53,7 @@ def test_all_of_them_at_once_train_and_are_evaluated(tmp_path, capsys):
 @pytest.mark.parametrize("option", ["target_updater=soft", "exploration=linear", "loss=dueling", "loss=distributional"])
 def test_experiments_take_other_parts(experiment, option):
     pipeline = build_pipeline(compose(f"experiment={experiment}", option))
+    assert len(pipeline.agents) == 1
     pipeline.collector.shutdown()
 
 

@@ -286,7 +286,7 @@ def test_a_run_whose_configuration_was_changed_is_refused(stopped, capsys):
     assert "differs from the checkpoint's in loss.gamma" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("break_it", ["cursor", "actions", "cars", "network", "missing"])
+@pytest.mark.parametrize("break_it", ["cursor", "actions", "cars", "network", "folders", "log", "missing"])
 def test_a_state_that_no_such_run_can_have_is_refused(break_it, stopped, capsys):
     path = stopped / "checkpoints" / "state.pt"
     state = state_of(stopped)
@@ -298,6 +298,10 @@ def test_a_state_that_no_such_run_can_have_is_refused(break_it, stopped, capsys)
         state["cars"]["next_gate"][:] = 10**9
     elif break_it == "network":
         state["learner"]["agents"][0]["loss"] = {}
+    elif break_it == "folders":
+        del state["folders"]
+    elif break_it == "log":
+        state["folders"][0]["log"] = {"part": "elsewhere"}
     else:
         del state["tracker"]
     save_checkpoint(path, state)
