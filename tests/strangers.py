@@ -11,7 +11,7 @@ import yaml
 from carrl.cli.main import main
 from carrl.run.build import build_network
 from carrl.run.checkpoint import save_checkpoint
-from carrl.run.folder import CONFIG, checkpoint_path
+from carrl.run.files import CONFIG, checkpoint_path
 from tests.configs import compose
 
 READ = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")

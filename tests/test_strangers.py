@@ -16,7 +16,7 @@ import torch
 
 from carrl.cli.main import main
 from carrl.record.writer import LogWriter
-from carrl.run.folder import CONFIG, METRICS, SUMMARY, checkpoint_path
+from carrl.run.files import CONFIG, METRICS, SUMMARY, checkpoint_path
 from tests.strangers import Payload, make_run, proves_harmful, refused
 
 SQUARE = "corners: [[0, 0], [60, 0], [60, 60], [0, 60]]\ncorner_radius: 10\nwidth: 8\n"

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from carrl.config import TARGETS, config_dir
-from carrl.run.folder import CONFIG
+from carrl.run.files import CONFIG
 from tests.strangers import make_run, refused
 
 CALLS = {
@@ -16,7 +16,7 @@ CALLS = {
     "builtins.open": {"file": "{marker}", "mode": "w"},
     "pathlib.Path.touch": {"self": "{marker}"},
     "carrl.config.inspect.os.system": {"command": "touch {marker}"},
-    "carrl.run.folder.write_text": {"path": "{marker}", "text": ""},
+    "carrl.run.files.write_text": {"path": "{marker}", "text": ""},
     "carrl.files.write_whole": {"path": "{marker}", "content": ""},
     "carrl.record.mcap_file.McapFile": {"path": "{marker}"},
     "carrl.record.writer.LogWriter": {"path": "{marker}", "attachments": {}, "metadata": {}},

@@ -21,7 +21,8 @@ from carrl.config import config_dir
 from carrl.errors import CarrlError
 from carrl.run.build import build_network, build_world
 from carrl.run.checkpoint import FORMAT_VERSION
-from carrl.run.folder import CONFIG, METRICS, SUMMARY, checkpoint_path, load_config, load_greedy_policy
+from carrl.run.files import CONFIG, METRICS, SUMMARY, checkpoint_path, load_config
+from carrl.run.folder import load_greedy_policy
 from carrl.run.plan import checked_seed
 from carrl.run.report.findings import find
 from carrl.run.report.reading import DAMAGED

@@ -21,7 +21,7 @@ VALUES: tuple[Any, ...] = (
     ),
 )
 TARGETS = (
-    *("os.system", "subprocess.run", "builtins.eval", "builtins.open", "carrl.run.folder.write_text", "shutil.rmtree"),
+    *("os.system", "subprocess.run", "builtins.eval", "builtins.open", "carrl.run.files.write_text", "shutil.rmtree"),
     *(
         "carrl.record.writer.LogWriter",
         "carrl.files.write_whole",

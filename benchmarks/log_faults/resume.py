@@ -16,7 +16,7 @@ from benchmarks.log_faults.same_run import RunContents, differences, read_run
 from benchmarks.log_faults.training import TrainingRun, run_path
 from carrl.cli.signals import INTERRUPTED
 from carrl.errors import CarrlError
-from carrl.run.folder import CONFIG, load_config
+from carrl.run.files import CONFIG, load_config
 from carrl.run.state_file import PREVIOUS, STATE
 
 LONGEST_EXIT_S = 5.0

@@ -11,7 +11,7 @@ import torch
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
 from carrl.run.build import build_world
-from carrl.run.folder import load_config
+from carrl.run.files import load_config
 from carrl.sim.vehicle import Action
 
 if TYPE_CHECKING:

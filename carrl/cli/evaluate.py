@@ -11,7 +11,8 @@ import torch
 from carrl.cli.evaluation_table import print_evaluation
 from carrl.run.build import build_world
 from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
-from carrl.run.folder import load_config, load_greedy_policy, seed_folders
+from carrl.run.files import load_config, seed_folders
+from carrl.run.folder import load_greedy_policy
 from carrl.run.plan import checked_seed
 from carrl.run.survey import Survey
 from carrl.run.tally import tally

@@ -5,8 +5,10 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from carrl.run.training import Training
+if TYPE_CHECKING:
+    from carrl.run.training import Training
 
 _SHOW_CURSOR = "\x1b[?25h"
 INTERRUPTED = 130
@@ -14,7 +16,7 @@ INTERRUPTED = 130
 
 
 @contextmanager
-def stopping_on_signals(trainer: Training) -> Iterator[None]:
+def stopping_on_signals(trainer: "Training") -> Iterator[None]:
     """Lets the first SIGINT or SIGTERM end the run with everything saved, and the second end the process at once.
 
     Those that this process ignores it goes on to ignore.

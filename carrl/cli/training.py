@@ -17,7 +17,8 @@ from carrl.errors import CarrlError, CheckpointError, ConfigError
 from carrl.record.writer import LogWriter
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning, Pipeline, World, build_offline_pipeline, build_pipeline, learns_from_logs
-from carrl.run.folder import CONFIG, LAP, LEARNING_CURVE, LOG, RunFolder, write_text
+from carrl.run.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
+from carrl.run.folder import RunFolder
 from carrl.run.offline_folder import OfflineRunFolder
 from carrl.run.offline_trainer import OfflineTrainer
 from carrl.run.provenance import describe_run

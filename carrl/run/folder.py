@@ -1,16 +1,6 @@
-"""A run's folder: what is in it, written and read in one place.
-
-.hydra/config.yaml    the resolved configuration
-train.mcap            every transition
-checkpoints/          best.pt and last.pt; state.pt and the one before, to resume from
-metrics.csv           a row for each ended episode
-evaluations.csv       a row for each greedy drive during training
-summary.json          the run in a few figures
-learning_curve.png, lap.png
-"""
+"""A run's folder while the run is in progress, and the policy that a run has left in its own."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -20,33 +10,22 @@ import torch
 from tensordict import TensorDictBase
 
 from carrl.errors import CheckpointError
-from carrl.files import read_whole, remove_left_overs, write_whole
-from carrl.plain_yaml import parse_yaml
+from carrl.files import remove_left_overs
 from carrl.record.messages import Episode, Metrics
 from carrl.record.writer import LogWriter
 from carrl.run.build import build_network, observes_action
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.divergence import REPORT as DIVERGENCE
 from carrl.run.evaluation import Policy, greedy_policy
+from carrl.run.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, checkpoint_path, write_text
 from carrl.run.moment import Moment
 from carrl.run.scalars import Scalars
 from carrl.run.settings import put_back, read_settings
 from carrl.run.table import Table
 from carrl.run.trial import Trial
 
-CONFIG = Path(".hydra/config.yaml")
-LOG = "train.mcap"
-METRICS = "metrics.csv"
-EVALUATIONS = "evaluations.csv"
-SUMMARY = "summary.json"
-LEARNING_CURVE = "learning_curve.png"
-LAP = "lap.png"
-_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
 EPISODE_FIGURES = ("episode", "frame", "env", "episode_return", "length", "gates", "laps", "ended")
 """What `metrics.csv` tells of an episode."""
-MAX_TEXT_BYTES = 64 * 2**20
-MAX_CONFIG_BYTES = 2**18
-"""Eighty times what training writes."""
 
 
 class RunFolder:
@@ -181,37 +160,6 @@ class RunFolder:
         write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
-def checkpoint_path(run: Path, name: str) -> Path:
-    """Where a run keeps the checkpoint of this name, `best` or `last`."""
-    return run / "checkpoints" / f"{name}.pt"
-
-
-def seed_folders(run: Path) -> list[Path]:
-    """The folders of a run's seeds in their order, where it has several; else the run's own."""
-    if not os.path.isdir(run):
-        return [run]
-    found = [path.parents[1] for path in run.glob(f"seed=*/{CONFIG}") if path.parents[1].name[5:].isdecimal()]
-    return sorted(found, key=lambda folder: int(folder.name[5:])) or [run]
-
-
-def load_config(run: Path) -> dict[str, Any]:
-    """The resolved configuration of a run, as plain values.
-
-    Raises:
-        CheckpointError: this is no run's folder, or its configuration is damaged.
-    """
-    if not os.path.isdir(run):  # Path.is_dir raises on a name that is too long or may not be looked up
-        raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
-    try:
-        config = parse_yaml(_read_bytes(run / CONFIG, MAX_CONFIG_BYTES))
-    except ValueError as error:
-        raise CheckpointError(f"run '{run}': {CONFIG}: {error}") from error
-    missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
-    if missing:
-        raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
-    return config
-
-
 def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:
     """The greedy policy of a run's `best` or `last` network.
 
@@ -239,30 +187,3 @@ def _fits(state: object, wanted: Mapping[str, torch.Tensor]) -> bool:
 def _alike(found: torch.Tensor, wanted: torch.Tensor) -> bool:
     kinds = (found.layout, found.dtype, found.device, found.shape)
     return kinds == (wanted.layout, wanted.dtype, wanted.device, wanted.shape) and bool(found.isfinite().all())
-
-
-def read_text(path: Path) -> str:
-    """The text of a run's file, bounded in size.
-
-    Raises:
-        CheckpointError: the file is missing, too large, no regular file or no text.
-    """
-    try:
-        return _read_bytes(path, MAX_TEXT_BYTES).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise CheckpointError(f"'{path}' is no text: {error.reason}") from error
-
-
-def _read_bytes(path: Path, most: int) -> bytes:
-    if not os.path.lexists(path):
-        raise CheckpointError(f"'{path}' does not exist; a run's folder has it")
-    return read_whole(path, most, f"'{path}'", CheckpointError)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a file whole or not at all.
-
-    Raises:
-        CarrlError: the disk refuses it.
-    """
-    write_whole(path, text.encode())

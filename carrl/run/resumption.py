@@ -9,7 +9,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from carrl.errors import CheckpointError, ConfigError, shown
-from carrl.run.folder import CONFIG, SUMMARY, load_config
+from carrl.run.files import CONFIG, SUMMARY, load_config
 from carrl.run.state_file import PREVIOUS, STATE, load_state
 
 CHANGEABLE = (

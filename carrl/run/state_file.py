@@ -11,7 +11,7 @@ from typing import Any
 from carrl.errors import CheckpointError
 from carrl.files import remove_left_overs
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
-from carrl.run.folder import CONFIG
+from carrl.run.files import CONFIG
 from carrl.run.settings import put_back, read_settings
 
 STATE = Path("checkpoints/state.pt")

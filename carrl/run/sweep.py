@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from carrl.errors import CarrlError
 from carrl.files import write_whole
-from carrl.run.folder import LOG, SUMMARY, read_text
+from carrl.run.files import LOG, SUMMARY, read_text
 
 JOB = "job.json"
 STOP = "stop"

@@ -18,10 +18,9 @@ from carrl.printable import printable
 from carrl.run.agent_run import RECENT_EPISODES
 from carrl.run.offline_trainer import OfflineTrainer
 from carrl.run.trainer import Trainer
+from carrl.view.terminal_table import print_table
 
 T = TypeVar("T")
-FILE_WIDTH = 160
-"""Columns of a table that does not go to a terminal, whose width is unknown."""
 
 
 class Display(ABC, Generic[T]):
@@ -207,16 +206,3 @@ def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _how_far(attempt: Mapping[str, Any]) -> str:
     return "complete" if attempt["lap_completed"] else f"{attempt['progress']:.0%} of a lap"
-
-
-def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Prints a table whose first column is text and whose others are figures."""
-    table = Table(title=escape(printable(title)), title_justify="left")
-    for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index == 0 else "right", no_wrap=index == 0)
-    for row in rows:
-        table.add_row(*(escape(printable(cell)) for cell in row))
-    console = Console()
-    if not console.is_terminal:
-        console.width = FILE_WIDTH
-    console.print(table)

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from carrl.printable import printable
 from carrl.run.sweep import JobNote, SweepFolder, read_summaries
-from carrl.view.console import print_table
+from carrl.view.terminal_table import print_table
 
 _HEADER = ("job", "result", "laps", "first greedy lap", "progress", "reward", "forward", "time")
 

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from carrl.printable import printable
-from carrl.view.console import print_table
+from carrl.view.terminal_table import print_table
 
 MOST_ROWS = 20
 

@@ -4,6 +4,7 @@ import csv
 import json
 import signal
 import subprocess
+import sys
 import time
 
 import pytest
@@ -282,3 +283,17 @@ def test_an_interrupted_run_saves_everything(number, tmp_path):
     assert (tmp_path / "checkpoints" / "last.pt").exists()
     assert (tmp_path / "checkpoints" / "state.pt").exists()
     assert f"go on with carrl train resume={tmp_path}" in output.decode()
+
+
+@pytest.mark.parametrize("flags", [[], ["-m"]], ids=["run", "sweep"])
+def test_a_misspelt_key_does_not_wait_for_torch(flags):
+    program = f"""
+import sys
+from carrl.cli.main import main
+assert main(["train", *{flags!r}, "sedd=1,2"]) == 2
+assert "torch" not in sys.modules
+"""
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    assert finished.stderr.startswith("carrl: ")
+    assert "sedd" in finished.stderr

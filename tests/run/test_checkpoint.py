@@ -8,7 +8,7 @@ import torch
 from carrl.errors import CheckpointError, ConfigError
 from carrl.run.build import build_world
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
-from carrl.run.folder import load_config
+from carrl.run.files import load_config
 
 
 def test_what_is_saved_is_loaded(tmp_path):

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from carrl.errors import CarrlError
-from carrl.run.folder import read_text
+from carrl.run.files import read_text
 from carrl.run.report.reading import RunResult
 
 OVERRIDES, HYDRA = Path(".hydra/overrides.yaml"), Path(".hydra/hydra.yaml")

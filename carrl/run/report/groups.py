@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from carrl.errors import CarrlError
-from carrl.run.folder import load_config
+from carrl.run.files import load_config
 from carrl.run.plan import TrainingPlan
 from carrl.run.report.choices import Choices, read_choices
 from carrl.run.report.reading import RunResult

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carrl.errors import CarrlError, CheckpointError
-from carrl.run.folder import CONFIG, METRICS, SUMMARY, load_config, read_text
+from carrl.run.files import CONFIG, METRICS, SUMMARY, load_config, read_text
 from carrl.run.report.summary_file import read_summary
 
 FINISHED, INTERRUPTED, UNFINISHED, DAMAGED = "finished", "interrupted", "unfinished", "damaged"

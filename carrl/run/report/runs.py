@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from carrl.errors import CheckpointError
-from carrl.run.folder import CONFIG
+from carrl.run.files import CONFIG
 from carrl.run.report.reading import RunResult, read_run
 
 

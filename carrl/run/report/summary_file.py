@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from carrl.errors import CheckpointError, shown
-from carrl.run.folder import SUMMARY, read_text
+from carrl.run.files import SUMMARY, read_text
 
 Wanted = Mapping[str, tuple[type, ...]]
 _COUNT, _NUMBER, _FLAG = (int,), (int, float), (bool,)

@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 
 from carrl.errors import CarrlError, CheckpointError
-from carrl.run.folder import read_text
+from carrl.run.files import read_text
 from carrl.run.report.choices import OVERRIDES
 
 SWEEP = "multirun.yaml"

@@ -1,0 +1,88 @@
+"""What lies where in a run's folder, and its small files read and written; nothing here waits for torch.
+
+.hydra/config.yaml    the resolved configuration
+train.mcap            every transition
+checkpoints/          best.pt and last.pt; state.pt and the one before, to resume from
+metrics.csv           a row for each ended episode
+evaluations.csv       a row for each greedy drive during training
+summary.json          the run in a few figures
+learning_curve.png, lap.png
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from carrl.errors import CheckpointError
+from carrl.files import read_whole, write_whole
+from carrl.plain_yaml import parse_yaml
+
+CONFIG = Path(".hydra/config.yaml")
+LOG = "train.mcap"
+METRICS = "metrics.csv"
+EVALUATIONS = "evaluations.csv"
+SUMMARY = "summary.json"
+LEARNING_CURVE = "learning_curve.png"
+LAP = "lap.png"
+_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
+MAX_TEXT_BYTES = 64 * 2**20
+MAX_CONFIG_BYTES = 2**18
+"""Eighty times what training writes."""
+
+
+def checkpoint_path(run: Path, name: str) -> Path:
+    """Where a run keeps the checkpoint of this name, `best` or `last`."""
+    return run / "checkpoints" / f"{name}.pt"
+
+
+def seed_folders(run: Path) -> list[Path]:
+    """The folders of a run's seeds in their order, where it has several; else the run's own."""
+    if not os.path.isdir(run):
+        return [run]
+    found = [path.parents[1] for path in run.glob(f"seed=*/{CONFIG}") if path.parents[1].name[5:].isdecimal()]
+    return sorted(found, key=lambda folder: int(folder.name[5:])) or [run]
+
+
+def load_config(run: Path) -> dict[str, Any]:
+    """The resolved configuration of a run, as plain values.
+
+    Raises:
+        CheckpointError: this is no run's folder, or its configuration is damaged.
+    """
+    if not os.path.isdir(run):  # Path.is_dir raises on a name that is too long or may not be looked up
+        raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
+    try:
+        config = parse_yaml(_read_bytes(run / CONFIG, MAX_CONFIG_BYTES))
+    except ValueError as error:
+        raise CheckpointError(f"run '{run}': {CONFIG}: {error}") from error
+    missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
+    if missing:
+        raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
+    return config
+
+
+def read_text(path: Path) -> str:
+    """The text of a run's file, bounded in size.
+
+    Raises:
+        CheckpointError: the file is missing, too large, no regular file or no text.
+    """
+    try:
+        return _read_bytes(path, MAX_TEXT_BYTES).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise CheckpointError(f"'{path}' is no text: {error.reason}") from error
+
+
+def _read_bytes(path: Path, most: int) -> bytes:
+    if not os.path.lexists(path):
+        raise CheckpointError(f"'{path}' does not exist; a run's folder has it")
+    return read_whole(path, most, f"'{path}'", CheckpointError)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file whole or not at all.
+
+    Raises:
+        CarrlError: the disk refuses it.
+    """
+    write_whole(path, text.encode())
