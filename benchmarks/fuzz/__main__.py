@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks import figures
 from benchmarks.fuzz.logs import LogFile
-from benchmarks.fuzz.parser import MOST_MIB, Parser, judge, peak_mib
+from benchmarks.fuzz.parser import Parser, judge, peak_mib
 from benchmarks.fuzz.runs import Checkpoint, Results, RunConfig
 from benchmarks.fuzz.tracks import TrackCsv, TrackDrawing, TrackWaypoints
 from benchmarks.machine import describe_machine, machine_line
@@ -84,19 +84,16 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
 
 def fuzz(name: str, inputs: int, seed: int, only: int | None = None) -> Tally:
     """Feeds one parser."""
-    tally, peak = Tally(), peak_mib()
+    tally = Tally()
     with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder, warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         parser = PARSERS[name](Path(folder))
         for number in range(inputs) if only is None else [only]:
             verdict = judge(parser, seed, number)
-            fault, before, peak = verdict.fault, peak, peak_mib()
-            if fault is None and peak > max(MOST_MIB, before):
-                fault = f"memory rose from {before:.0f} to {peak:.0f} MiB"
             tally.slowest_s = max(tally.slowest_s, verdict.seconds)
-            if fault is not None:
-                tally.faults[number] = fault
+            if verdict.fault is not None:
+                tally.faults[number] = verdict.fault
             elif verdict.accepted:
                 tally.accepted += 1
             else:

@@ -60,7 +60,7 @@ class Verdict:
 def judge(parser: Parser, seed: int, number: int) -> Verdict:
     """Makes the input of this number and feeds it to the parser."""
     parser.make(Random(f"{type(parser).__name__}:{seed}:{number}"))
-    began, accepted, fault = time.process_time(), False, None
+    peak, began, accepted, fault = peak_mib(), time.process_time(), False, None
     try:
         with _ending_at_last():
             parser.feed()
@@ -73,6 +73,8 @@ def judge(parser: Parser, seed: int, number: int) -> Verdict:
     seconds = time.process_time() - began
     if fault is None and seconds > SLOW_S:
         fault = f"it took {seconds:.1f} s"
+    if fault is None and peak_mib() > max(MOST_MIB, peak):
+        fault = f"memory rose from {peak:.0f} to {peak_mib():.0f} MiB"
     return Verdict(accepted, seconds, fault)
 
 

@@ -71,6 +71,8 @@ class _Reader:
         if "gates" in self.values and "gate_spacing" in self.values:
             raise self._error("it has gates and gate_spacing; give one of the two")
         centreline = self._polygon() if forms == ["corners"] else self._line()
+        if repeated_point(centreline.points) is not None:
+            raise self._error(f"the road is too small to be drawn, or turns back on itself; enlarge its {forms[0]}")
         spacing = self._number("gate_spacing", least=MIN_GATE_SPACING) if "gate_spacing" in self.values else None
         return DrawingFile(centreline, self._gates(LinearRing(centreline.points).length), spacing)
 

@@ -6,6 +6,7 @@ Shapes: `N` rows of the file, `P` points.
 import io
 import math
 import tokenize
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -58,12 +59,14 @@ def _read_array(path: Path) -> np.ndarray:
     try:
         version = np.lib.format.read_magic(file)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, columns_first, kind = read_header(file)
+        with warnings.catch_warnings():  # NumPy's of files that Python 2 wrote, which it reads all the same
+            warnings.simplefilter("ignore")
+            shape, columns_first, kind = read_header(file)
     except (ValueError, SyntaxError, tokenize.TokenError, RecursionError, MemoryError):
         raise TrackError(f"track '{path.name}': this is not a NumPy array file (.npy)") from None
     if kind.kind not in "fiu":
         raise TrackError(f"track '{path.name}': the array holds {kind}; it must hold plain numbers, such as float64")
-    if len(shape) != 2 or shape[1] != len(COLUMNS):
+    if len(shape) != 2 or shape[0] < 0 or shape[1] != len(COLUMNS):
         raise TrackError(
             f"track '{path.name}': the array has the shape {shape}; it must have a row for each point with "
             f"{len(COLUMNS)} columns: {', '.join(COLUMNS)}"

@@ -68,6 +68,11 @@ def test_waypoints_load_however_they_are_stored(load, change):
     assert inspect_track(track).faults == ()
 
 
+def test_a_waypoint_file_that_python_2_wrote_loads_without_a_warning(load):
+    content = npy(ring_waypoints()).replace(b"(41, 6), }  ", b"(41L, 6L), }")
+    assert len(load("ring.npy", content).centreline) == 40
+
+
 def test_gates_of_waypoints_stand_as_far_apart_as_asked(load):
     assert load("ring.npy", npy(ring_waypoints()), gate_spacing=5.0).gate_count == 6
 
@@ -87,6 +92,7 @@ def with_value(row: int, column: int, value: float) -> np.ndarray:
         (npy(ring_waypoints())[:-8], "the file ends before its 41 rows do"),
         (npy(ring_waypoints()).replace(b"(41, 6)", b"(9**9, 6)"), "not a NumPy array file"),
         (npy(ring_waypoints()).replace(b"(41, 6), }      ", b"(99999999, 6), }"), "the file ends before its 99999999"),
+        (npy(ring_waypoints()).replace(b"(41, 6)", b"(-1, 6)"), r"the array has the shape \(-1, 6\)"),
         (npy(np.array([{"x": 1}, None])), "the array holds object; it must hold plain numbers"),
         (npy(ring_waypoints().astype(complex)), "the array holds complex128"),
         (npy(ring_waypoints().astype(str)), "the array holds <U"),
@@ -223,6 +229,7 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         (RING, r"points: row 1 is \[50, 0\]; it must be \[x, y, width\], or width must be given"),
         ("points: [[50, 0, 4], [0, 50, 0], [-50, 0, 4]]", "points: row 2: width is 0 m; widths must be positive"),
         ("points: [[50, 0, 4], [0, 50, 4], [-50, 0, 4]]\nwidth: 4", r"row 1 is \[50, 0, 4\]; it must be \[x, y\], si"),
+        ("points: [[-0.01, 0], [0.01, 0], [-0.01, 0], [0.01, 0]]\nwidth: 9", "too small to be drawn, or turns back on"),
         (RING + "width: 8\nsmooth: maybe", "smooth is 'maybe'; it must be true or false"),
         (SQUARE + SIZES + "gates: 2", "gates is 2; it must be a whole number from 3 to 2"),
         (SQUARE + SIZES + "gates: 8.0", "gates is 8.0; it must be a whole number"),
