@@ -31,6 +31,8 @@ TARGETS = (
     *("carrl.sim.track.Track.load", "carrl.sim.vehicle.Bicycle", "carrl.sim.vehicle.Vehicle", "carrl.nothing", "", "."),
     *("torch.optim.Adam", "torch.load", "carrl.sim.track.Track", "carrl.config.inspect.os.system", "carrl"),
 )
+LONGEST = 100_000
+"""Items of a list that is made longer; as a file that is more than any parser takes."""
 
 
 def change(draw: Random, tree: Any) -> Any:
@@ -50,5 +52,5 @@ def change(draw: Random, tree: Any) -> Any:
         new = draw.choice((*copy, "seed", "generator", "self", "_args_", "a b", 7, None))
         copy[new] = draw.choice(VALUES)
     else:
-        copy = copy * draw.choice((2, 3, 500))
+        copy = (copy * draw.choice((2, 3, 500)))[:LONGEST]
     return copy
