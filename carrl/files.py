@@ -5,12 +5,14 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 from carrl.errors import CarrlError
 
 PARTIAL = ".*.partial"
 """Matches the files that a killed process may leave behind."""
+_CHUNK_BYTES = 2**24
 
 
 @contextmanager
@@ -67,7 +69,7 @@ def read_whole(path: Path, most: int, name: str, error: type[CarrlError] = Carrl
         with open(path, "rb", opener=_open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # a pipe would block, a device might never end
                 raise error(f"{name}: this is not a regular file; name one")
-            content = file.read(most + 1)
+            content = _read_at_most(file, most + 1)
     except IsADirectoryError:
         raise error(f"{name}: this is a folder; name a file in it") from None
     except (OSError, ValueError) as failure:  # ValueError: a NUL in the path
@@ -75,6 +77,15 @@ def read_whole(path: Path, most: int, name: str, error: type[CarrlError] = Carrl
     if len(content) > most:
         raise error(f"{name}: the file is too large; it may have at most {most} bytes")
     return content
+
+
+def _read_at_most(file: BinaryIO, most: int) -> bytes:
+    """Reads bit by bit, since one `read` sets aside as much memory as it may return, however small the file is."""
+    chunks: list[bytes] = []
+    while most > 0 and (chunk := file.read(min(most, _CHUNK_BYTES))):
+        chunks.append(chunk)
+        most -= len(chunk)
+    return b"".join(chunks)
 
 
 def _open_without_waiting(path: str, flags: int) -> int:

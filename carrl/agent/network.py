@@ -54,8 +54,6 @@ def make_q_network(
         ConfigError: a hidden layer without units, too many layers or weights, or an exponent that is not positive.
     """
     check_hidden_sizes(hidden_sizes, observation_size, action_count)
-    if not 0 < input_exponent < math.inf:
-        raise ConfigError(f"network.input_exponent is {input_exponent}; it must be a positive number")
     mlp = MLP(
         in_features=observation_size,
         out_features=action_count,
@@ -63,12 +61,16 @@ def make_q_network(
         activation_class=nn.ReLU,
     )
     initialise(mlp, generator)
-    layers = mlp if input_exponent == 1 else nn.Sequential(Power(input_exponent), *mlp)
-    return QValueActor(layers, in_keys=["observation"], action_space="categorical")
+    return QValueActor(on_powers(mlp, input_exponent), in_keys=["observation"], action_space="categorical")
 
 
 def make_dueling_network(
-    hidden_sizes: Sequence[int], *, observation_size: int, action_count: int, generator: torch.Generator
+    hidden_sizes: Sequence[int],
+    input_exponent: float = 1.0,
+    *,
+    observation_size: int,
+    action_count: int,
+    generator: torch.Generator,
 ) -> QValueActor:
     """A network that values the situation and, beside it, how much better each action is than their mean.
 
@@ -78,7 +80,7 @@ def make_dueling_network(
     Source: Wang et al. 2016, "Dueling Network Architectures for Deep Reinforcement Learning", eq. 9.
 
     Raises:
-        ConfigError: a hidden layer without units, or fewer than two hidden layers.
+        ConfigError: as `make_q_network`, and for fewer than two hidden layers.
     """
     check_hidden_sizes(hidden_sizes, observation_size, action_count)
     if len(hidden_sizes) < 2:
@@ -99,12 +101,13 @@ def make_dueling_network(
         mlp_kwargs_output={"in_features": joint, "num_cells": [stream], "activation_class": nn.ReLU},
     )
     initialise(layers, generator)
-    return QValueActor(layers, in_keys=["observation"], action_space="categorical")
+    return QValueActor(on_powers(layers, input_exponent), in_keys=["observation"], action_space="categorical")
 
 
 def make_noisy_network(
     hidden_sizes: Sequence[int],
     initial_noise: float,
+    input_exponent: float = 1.0,
     *,
     observation_size: int,
     action_count: int,
@@ -118,7 +121,7 @@ def make_noisy_network(
     Source: Fortunato et al. 2018, "Noisy Networks for Exploration", section 3.2 with factorised noise.
 
     Raises:
-        ConfigError: a hidden layer without units, or noise of a strength that is none.
+        ConfigError: as `make_q_network`, and for noise of a strength that is none.
     """
     check_hidden_sizes(hidden_sizes, observation_size, action_count)
     if not 0 <= initial_noise < math.inf:
@@ -138,7 +141,18 @@ def make_noisy_network(
             layer.bias_mu.data.uniform_(-bound, bound, generator=generator)
             layer.weight_epsilon.zero_()  # TorchRL drew them from torch's own generator
             layer.bias_epsilon.zero_()
-    return QValueActor(mlp, in_keys=["observation"], action_space="categorical")
+    return QValueActor(on_powers(mlp, input_exponent), in_keys=["observation"], action_space="categorical")
+
+
+def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
+    """The layers, which then read their inputs raised to the exponent.
+
+    Raises:
+        ConfigError: the exponent is not positive.
+    """
+    if not 0 < input_exponent < math.inf:
+        raise ConfigError(f"network.input_exponent is {input_exponent}; it must be a positive number")
+    return layers if input_exponent == 1 else nn.Sequential(Power(input_exponent), layers)
 
 
 def check_hidden_sizes(hidden_sizes: Sequence[int], observation_size: int, outputs: int) -> None:

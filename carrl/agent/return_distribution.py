@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.modules import MLP, QValueActor
 
-from carrl.agent.network import check_hidden_sizes, initialise
+from carrl.agent.network import check_hidden_sizes, initialise, on_powers
 from carrl.errors import ConfigError
 
 
@@ -43,6 +43,7 @@ def make_distributional_network(
     atoms: int,
     least_return: float,
     greatest_return: float,
+    input_exponent: float = 1.0,
     *,
     observation_size: int,
     action_count: int,
@@ -51,7 +52,7 @@ def make_distributional_network(
     """A network of `ReturnDistribution`; beside the values it reads and writes what `make_q_network` does.
 
     Raises:
-        ConfigError: a hidden layer without units, fewer than 2 atoms, or returns in no range.
+        ConfigError: as `make_q_network`, and for fewer than 2 atoms, or returns in no range.
     """
     if atoms < 2:
         raise ConfigError(f"network.atoms is {atoms}; it must be at least 2")
@@ -68,7 +69,8 @@ def make_distributional_network(
         activation_class=nn.ReLU,
     )
     initialise(mlp, generator)
-    distribution = ReturnDistribution(mlp, torch.linspace(least_return, greatest_return, atoms))
+    support = torch.linspace(least_return, greatest_return, atoms)
+    distribution = ReturnDistribution(on_powers(mlp, input_exponent), support)
     return QValueActor(distribution, in_keys=["observation"], action_space="categorical")
 
 

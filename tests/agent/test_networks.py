@@ -1,6 +1,7 @@
 """Dueling and noisy networks."""
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from carrl.agent.loss import make_dqn_loss, make_dueling_loss
 from carrl.agent.network import make_dueling_network, make_noisy_network, make_q_network
 from carrl.agent.policy import GreedyPolicy
+from carrl.agent.return_distribution import make_distributional_network
 from carrl.agent.target_updater import make_hard_update
 from carrl.agent.weight_noise import WeightNoise, is_noisy
 from carrl.errors import ConfigError
@@ -40,6 +42,27 @@ def test_the_same_seed_draws_the_same_network_whatever_torchs_own_seed(make):
     assert all(
         torch.equal(*pair) for pair in zip(first.state_dict().values(), second.state_dict().values(), strict=True)
     )
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        make_q_network,
+        make_dueling_network,
+        partial(make_noisy_network, initial_noise=0.5),
+        partial(make_distributional_network, atoms=5, least_return=-9.0, greatest_return=9.0),
+    ],
+)
+def test_every_network_reads_powers_of_the_observations_if_it_is_to(make):
+    def values(exponent, observation):
+        generator = torch.Generator().manual_seed(3)
+        network = make([16, 8], input_exponent=exponent, **SIZES, generator=generator)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            return network(TensorDict({"observation": observation}, [5]))["action_value"]
+
+    observation = torch.rand(5, 7)
+    torch.testing.assert_close(values(0.5, observation), values(1.0, observation.sqrt()))
+    assert not torch.allclose(values(0.5, observation), values(1.0, observation))
 
 
 def test_dueling_values_are_the_state_value_and_advantages_about_their_mean():
