@@ -9,10 +9,10 @@ from typing import Any, Literal
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.modules import QValueActor
-from torchrl.modules.models import DuelingMlpDQNet
 from torchrl.objectives import DQNLoss
 
 from carrl.agent.return_distribution import predicts_distribution
+from carrl.agent.network import is_dueling
 from carrl.errors import ConfigError
 
 
@@ -52,7 +52,7 @@ def make_dueling_loss(
     Raises:
         ConfigError: gamma lies outside 0..1, or the network is another one.
     """
-    if not isinstance(network.module[0].module, DuelingMlpDQNet):
+    if not is_dueling(network):
         raise ConfigError("loss is dueling, and the network is not; set network=dueling, or another loss")
     return make_dqn_loss(gamma, loss_function, double_dqn, network=network)
 

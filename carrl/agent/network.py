@@ -152,7 +152,15 @@ def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
     """
     if not 0 < input_exponent < math.inf:
         raise ConfigError(f"network.input_exponent is {input_exponent}; it must be a positive number")
-    return layers if input_exponent == 1 else nn.Sequential(Power(input_exponent), layers)
+    if input_exponent == 1:
+        return layers
+    following = layers if isinstance(layers, nn.Sequential) else [layers]
+    return nn.Sequential(Power(input_exponent), *following)
+
+
+def is_dueling(network: QValueActor) -> bool:
+    """Whether `make_dueling_network` made it."""
+    return any(isinstance(module, DuelingMlpDQNet) for module in network.modules())
 
 
 def check_hidden_sizes(hidden_sizes: Sequence[int], observation_size: int, outputs: int) -> None:

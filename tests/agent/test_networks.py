@@ -65,6 +65,13 @@ def test_every_network_reads_powers_of_the_observations_if_it_is_to(make):
     assert not torch.allclose(values(0.5, observation), values(1.0, observation))
 
 
+def test_the_dueling_loss_takes_a_dueling_network_that_reads_powers_and_no_other():
+    generator = torch.Generator().manual_seed(0)
+    make_dueling_loss(0.9, "l2", True, network=make_dueling_network([8, 8], 0.5, **SIZES, generator=generator))
+    with pytest.raises(ConfigError, match="loss is dueling, and the network is not"):
+        make_dueling_loss(0.9, "l2", True, network=make_q_network([8, 8], 0.5, **SIZES, generator=generator))
+
+
 def test_dueling_values_are_the_state_value_and_advantages_about_their_mean():
     layers = dueling().module[0].module
     observation = torch.rand(5, 7)
