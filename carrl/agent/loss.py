@@ -11,8 +11,8 @@ from torch import Tensor
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
-from carrl.agent.return_distribution import predicts_distribution
 from carrl.agent.network import is_dueling
+from carrl.agent.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
 
 
