@@ -38,6 +38,7 @@ def make_replay_buffer(
     Raises:
         ConfigError: the batch is empty or larger than the memory, or the memory is too large.
     """
+    _check_sizes(capacity, batch_size)
     return _make_buffer(capacity, batch_size, device, AgentSampler(generators))
 
 
@@ -79,7 +80,6 @@ def _check_sizes(capacity: int, batch_size: int) -> None:
 def _make_buffer(
     capacity: int, batch_size: int, device: torch.device | str, sampler: AgentSampler
 ) -> TensorDictReplayBuffer:
-    _check_sizes(capacity, batch_size)
     return TensorDictReplayBuffer(
         # "compilable": the length and the cursor are plain numbers, not shared memory, which may be full
         storage=LazyTensorStorage(capacity, device=device, compilable=True),

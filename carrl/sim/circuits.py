@@ -11,7 +11,7 @@ from carrl.sim.track import Track
 CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
 """Endings of the files of a folder that are taken for circuits."""
 MOST_CIRCUITS = 512
-"""Of a run; each one is attached to the run's log, with about 110 bytes for every metre of its road."""
+"""Of a run; each one is attached to the run's log, with about 75 bytes for every metre of its road."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -243,9 +243,9 @@ class Track:
         return {
             "name": self.name,
             "length": self.length,
-            "centreline": self.centreline.tolist(),
-            "walls": self.walls.tolist(),
-            "gates": self.gates.tolist(),
+            "centreline": _in_few_digits(self.centreline),
+            "walls": _in_few_digits(self.walls),
+            "gates": _in_few_digits(self.gates),
         }
 
     @cached_property
@@ -289,3 +289,8 @@ def _ring_length(points: np.ndarray) -> float:
 
 def _as_tensor(points: np.ndarray) -> Tensor:
     return torch.from_numpy(points.astype(np.float32))
+
+
+def _in_few_digits(values: Tensor) -> Any:
+    """Numbers of float32 as nested lists, with no more digits than tell them apart; in full they are twice as long."""
+    return values.cpu().numpy().astype(str).astype(np.float64).tolist()

@@ -53,8 +53,8 @@ def test_the_scene_is_that_of_the_environment(driven):
     assert (scene.sensor_range, scene.time_step, scene.body_radius) == (10.0, 0.1, 0.5)
     [track] = scene.tracks
     assert track.name == "oval" and track.length == env.track.length
-    assert np.array_equal(track.walls, env.track.walls.double().numpy())
-    assert np.array_equal(track.gates, env.track.gates.double().numpy())
+    assert np.array_equal(track.walls.astype(np.float32), env.track.walls.numpy())
+    assert np.array_equal(track.gates.astype(np.float32), env.track.gates.numpy())
     low_x, low_y, high_x, high_y = track.bounds
     assert low_x < 0 < high_x and low_y < 0 < high_y
 

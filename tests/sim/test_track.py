@@ -1,5 +1,6 @@
 """Tracks: the built-in drawings, centreline files good and bad, gates."""
 
+import json
 import re
 from pathlib import Path
 
@@ -443,3 +444,11 @@ def test_mirrored_and_reversed_tracks_have_no_faults():
     for change in (Track.mirrored, Track.reversed):
         assert_gates_span_the_road_and_face_forward(change(Track.load("paper")), tolerance=1e-3)
         assert inspect_track(change(Track.load("paper"))).faults == ()
+
+
+def test_the_plain_values_are_the_tensors_to_the_last_bit():
+    track = Track.load("serpentine")
+    plain = json.loads(json.dumps(track.as_dict()))
+    for name in ("centreline", "walls", "gates"):
+        assert torch.equal(torch.tensor(plain[name], dtype=torch.float32), getattr(track, name))
+    assert len(json.dumps(plain["walls"])) < 0.7 * len(json.dumps(track.walls.tolist()))
