@@ -17,14 +17,18 @@ LEAVES = sorted(
     if path.parent != config_dir() and path.stem != "file"
 )
 
+BESIDE = {
+    "network/distributional": ["loss=distributional"],  # that needs it
+    "experiment/generalist": ["track.count=4", "track.validation=2"],  # of hundreds, which take seconds to draw
+}
+
 
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_every_option_of_every_group_builds(leaf):
     group, option = leaf.split("/")
     if option == "ray":
         pytest.importorskip("ray", reason="clusters need it; pip install 'carrl[ray]'")
-    needed = ["loss=distributional"] if leaf == "network/distributional" else []
-    pipeline = build_pipeline(compose(f"{group}={option}", *needed))
+    pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
     assert pipeline.env.batch_size[0] >= 1
     pipeline.collector.shutdown()
 
