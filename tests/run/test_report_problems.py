@@ -82,7 +82,9 @@ def test_a_damaged_summary_is_named_and_the_other_run_is_reported(content, tmp_p
     assert findings.groups[0].seeds == [0]
 
 
-@pytest.mark.parametrize("row", ["2,300", "2,300,x,-1", "2,300,nan,-1", "2,,-1,-1"])
+@pytest.mark.parametrize(
+    "row", ["2,300", "2,300,x,-1", "2,300,nan,-1", "2,,-1,-1", f"2,{10**400},-1,-1", f"2,{2**60},-1,-1"]
+)
 def test_a_damaged_row_of_a_finished_run_is_named_by_its_number(row, tmp_path):
     write_run(tmp_path / "a", 0)
     (tmp_path / "a" / "metrics.csv").write_text(f"{METRICS_HEADER}0,100,-1,-1\n{row}\n")

@@ -2,12 +2,12 @@
 
 import csv
 import io
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from carrl.config import MOST
 from carrl.errors import CarrlError, CheckpointError
 from carrl.run.files import CONFIG, METRICS, SUMMARY, load_config, read_text
 from carrl.run.report.summary_file import read_summary
@@ -151,8 +151,8 @@ def _read_ends(folder: Path, forgiving: bool = False) -> EpisodeEnds:
     try:
         for row in csv.DictReader(io.StringIO(text, newline="")):
             figures = (int(row["frame"]), float(row["episode_return"]), float(row["mean_return_20"]))
-            if not all(map(math.isfinite, figures)) or len(rows) >= MOST_EPISODES:
-                raise ValueError("not a finite number, or too many")
+            if not all(abs(figure) <= MOST for figure in figures) or len(rows) >= MOST_EPISODES:
+                raise ValueError("no number or too large a one, or too many")
             rows.append(figures)
     except (ValueError, KeyError, TypeError, csv.Error) as error:
         if not forgiving:
