@@ -19,7 +19,7 @@ from carrl.run.sweep import JobNote, JobState, SweepFolder, read_summaries
 from carrl.run.training import Training
 from carrl.view.console import Silence
 
-LOOKS_EVERY_S = 1.0
+_LOOKS_EVERY_S = 1.0
 
 
 def train_job(config: DictConfig) -> None:
@@ -67,7 +67,7 @@ class _Obedient(Silence):
         self._folder, self._looked_at = folder, time.monotonic()
 
     def __call__(self, trainer: Training) -> None:
-        if time.monotonic() >= self._looked_at + LOOKS_EVERY_S:
+        if time.monotonic() >= self._looked_at + _LOOKS_EVERY_S:
             self._looked_at = time.monotonic()
             if self._folder.is_to_stop:
                 trainer.stop()
