@@ -31,6 +31,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "loss": (
         "carrl.agent.loss.make_dqn_loss",
         "carrl.agent.loss.make_cql_loss",
+        "carrl.agent.loss.make_advantage_learning_loss",
         "carrl.agent.loss.make_dueling_loss",
         "carrl.agent.distributional_loss.make_distributional_loss",
     ),

@@ -1,4 +1,4 @@
-"""What the network learns from: TorchRL's DQN loss, its Double DQN variant, and conservative Q-learning on top.
+"""What the network learns from: TorchRL's DQN loss, its Double DQN variant, and two losses built on it.
 
 Shapes: `N` transitions.
 """
@@ -6,7 +6,7 @@ Shapes: `N` transitions.
 import math
 from typing import Any, Literal
 
-from tensordict import TensorDictBase
+from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
@@ -105,11 +105,71 @@ class ConservativeDQNLoss(DQNLoss):
 
     def _excess(self, tensordict: TensorDictBase) -> Tensor:
         """How far the actions' values in all exceed that of the action taken, [N]."""
-        read = tensordict.select(*self.value_network.in_keys)
-        with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
-            values = self.value_network(read)[self.tensor_keys.action_value]
-        taken = values.gather(-1, tensordict[self.tensor_keys.action].unsqueeze(-1)).squeeze(-1)
+        values, taken = _action_values(self, self.value_network_params, tensordict)
         return values.logsumexp(dim=-1) - taken
+
+
+def make_advantage_learning_loss(
+    gamma: float,
+    loss_function: Literal["l2", "smooth_l1"],
+    double_dqn: bool,
+    alpha: float,
+    *,
+    network: QValueActor,
+) -> "AdvantageLearningLoss":
+    """The loss of `make_dqn_loss`, in which an action that the target network values below the best one earns less.
+
+    The reward falls by `alpha` times the gap max Q(s, .) - Q(s, a). Where an action is worse by its effect in one short
+    step, its value so becomes worse by 1 / (1 - alpha) times as much, and the network's error hides it less; which
+    action is the best stays the same.
+
+    Source: Baird 1999, "Reinforcement Learning Through Gradient Descent", chapter 6; Bellemare et al. 2016,
+    "Increasing the Action Gap: New Operators for Reinforcement Learning", eq. 7.
+
+    Raises:
+        ConfigError: gamma lies outside 0..1, alpha is not at least 0 and less than 1, or the network predicts a
+            distribution.
+    """
+    if not 0 <= alpha < 1:
+        raise ConfigError(f"loss.alpha is {alpha}; it must be at least 0 and less than 1")
+    _check_values_are_points(network)
+    loss = AdvantageLearningLoss(network, alpha=alpha, **_options(loss_function, double_dqn))
+    set_discount(loss, gamma)
+    return loss
+
+
+class AdvantageLearningLoss(DQNLoss):
+    """TorchRL's DQN loss on rewards lowered by how far the action falls behind the best one.
+
+    Args:
+        network: that is trained.
+        alpha: share of the gap that the reward falls by.
+        options: of `DQNLoss`.
+    """
+
+    def __init__(self, network: QValueActor, *, alpha: float, **options: Any) -> None:
+        super().__init__(network, **options)
+        self.alpha = alpha
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The loss, [], under `loss`: transitions [N] as `DQNLoss` takes them; writes their `td_error`, too."""
+        values, taken = _action_values(self, self.target_value_network_params, tensordict)
+        reward_key = ("next", self.tensor_keys.reward)
+        reward = tensordict[reward_key]
+        lowered = tensordict.copy()
+        lowered[reward_key] = reward - self.alpha * (values.amax(dim=-1) - taken).detach().view_as(reward)
+        losses = super().forward(lowered)
+        tensordict[self.tensor_keys.priority] = lowered[self.tensor_keys.priority]
+        return losses
+
+
+def _action_values(loss: DQNLoss, parameters: TensorDictParams, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+    """The values of all actions before a transition, [N, 3], and of the one taken, [N], by the loss's network."""
+    read = tensordict.select(*loss.value_network.in_keys)
+    with parameters.to_module(loss.value_network, preserve_module_state=False):
+        values = loss.value_network(read)[loss.tensor_keys.action_value]
+    taken = values.gather(-1, tensordict[loss.tensor_keys.action].unsqueeze(-1)).squeeze(-1)
+    return values, taken
 
 
 def _options(loss_function: str, double_dqn: bool) -> dict[str, Any]:

@@ -48,6 +48,7 @@ def make_circuits(
     gate_spacing: float | None = None,
     widening: float = 0.0,
     corner_spacing: float | Sequence[float] = CORNER_SPACING,
+    hairpins: float = 0.0,
     folder: str | None = None,
 ) -> Circuits:
     """Random circuits to learn on, with the circuits of a folder if one is named, and other random ones for trials.
@@ -56,12 +57,13 @@ def make_circuits(
         count: how many random circuits to learn on.
         validation: how many to be tried out on; from the seeds that follow those of the first ones.
         seed: of the first random circuit; the next one is drawn from the next seed, and so on.
-        corner_radius: see `Track.random`, as for `width`, `length`, `gate_spacing`, `widening` and `corner_spacing`.
+        corner_radius: see `Track.random`, as for all that follow but `folder`.
         width: from wall to wall, m.
         length: of the centreline, m.
         gate_spacing: about how far the gates stand apart, m, also in the folder's circuits.
         widening: how much wider either half of a random road may be in places, as a share.
         corner_spacing: about how far corners stand apart, in least radii.
+        hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
         folder: whose circuits to learn on, too; None for none.
 
     Raises:
@@ -73,7 +75,7 @@ def make_circuits(
             f"together at most {MOST_CIRCUITS}"
         )
     drawn = [
-        Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing)
+        Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing, hairpins)
         for each in range(seed, seed + count + validation)
     ]
     named = [] if folder is None else [Track.load(path, gate_spacing) for path in circuit_files(Path(folder))]

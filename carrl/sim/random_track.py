@@ -57,6 +57,7 @@ def random_centrelines(
     length: Range,
     widening: float = 0.0,
     corner_spacing: Range = CORNER_SPACING,
+    hairpins: float = 0.0,
 ) -> Iterator[Centreline]:
     """Circuits of the same measures, drawn from one seed, as long as one is asked for; a few have legs that overlap.
 
@@ -67,6 +68,7 @@ def random_centrelines(
         length: of the centreline.
         widening: how much wider either half of the road may be in places, as a share of itself.
         corner_spacing: about how far corners stand apart, in least radii.
+        hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
 
     Raises:
         TrackError: a value is no number or range, or no circuit has these measures.
@@ -74,15 +76,14 @@ def random_centrelines(
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise TrackError(f"a random track: seed is {seed!r}; it must be a whole number from 0 on")
     random = np.random.default_rng(seed)
-    if isinstance(widening, bool) or not 0 <= widening <= MOST_WIDENING:
-        raise TrackError(
-            f"a random track: widening is {widening!r}; it must be a share between 0 and {MOST_WIDENING:g}"
-        )
+    for name, share, most in (("widening", widening, MOST_WIDENING), ("hairpins", hairpins, 1.0)):
+        if isinstance(share, bool) or not 0 <= share <= most:
+            raise TrackError(f"a random track: {name} is {share!r}; it must be a share between 0 and {most:g}")
     measures = _draw_measures(random, corner_radius, width, length)
     spacing = _as_range("corner_spacing", corner_spacing, "least radii")
     half_width = measures.width / 2
     for _ in range(MOST_DRAWS):
-        points = _round_corners(random, _draw_corners(random, measures, spacing), measures)
+        points = _round_corners(random, _draw_corners(random, measures, spacing, hairpins), measures)
         if points is not None:
             right, left = (half_width * (1 + widening * _draw_swell(random, len(points), widening)) for _ in range(2))
             yield Centreline(points, width_right=right, width_left=left)
@@ -137,7 +138,9 @@ def _as_range(name: str, value: Range, unit: str = "metres") -> tuple[float, flo
     return float(ends[0]), float(ends[1])
 
 
-def _draw_corners(random: np.random.Generator, measures: Measures, spacing: tuple[float, float]) -> np.ndarray:
+def _draw_corners(
+    random: np.random.Generator, measures: Measures, spacing: tuple[float, float], hairpins: float
+) -> np.ndarray:
     """Corners [N, 2] of a polygon in the unit of a cell, turned, stretched and, for half of them, clockwise."""
     cell_size = measures.corner_radius * random.uniform(*spacing)
     cells = _grow_shape(random, max(1, min(200, round(measures.length / cell_size / 2 - 1))))
@@ -145,11 +148,26 @@ def _draw_corners(random: np.random.Generator, measures: Measures, spacing: tupl
     ways = np.roll(outline, -1, axis=0) - outline
     bends = (ways != np.roll(ways, 1, axis=0)).any(axis=1)
     outline = outline[bends | (random.random(len(outline)) < random.uniform(0, 0.5))]
+    if hairpins:
+        outline = _join_u_turns(random, outline, hairpins)
     outline += random.uniform(-1, 1, outline.shape) * random.uniform(0.1, 0.35)
     stretch, angle = random.uniform(1.0, 1.8), random.uniform(0, 2 * math.pi)
     cos, sin = math.cos(angle), math.sin(angle)
     corners = (outline * [stretch, 1.0]) @ [[cos, sin], [-sin, cos]]
     return corners[::-1] if random.random() < 0.5 else corners
+
+
+def _join_u_turns(random: np.random.Generator, corners: np.ndarray, share: float) -> np.ndarray:
+    """Corners [M, 2] in which one acute corner takes the place of some pairs that stand a cell apart and turn alike."""
+    following = np.roll(corners, -1, axis=0)
+    (x, y), (after_x, after_y) = (corners - np.roll(corners, 1, axis=0)).T, (following - corners).T
+    turns = np.sign(x * after_y - y * after_x)
+    is_u_turn = (np.hypot(after_x, after_y) == 1) & (turns * np.roll(turns, -1) == 1)
+    joined = is_u_turn & (random.random(len(corners)) < share)
+    joined[1:] &= ~joined[:-1]
+    joined[-1] = False
+    ends = np.roll(joined, 1)
+    return np.where(joined[:, None], (corners + following) / 2, corners)[~ends]
 
 
 def _grow_shape(random: np.random.Generator, count: int) -> set[Cell]:

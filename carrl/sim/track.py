@@ -95,6 +95,7 @@ class Track:
         gate_spacing: float | None = None,
         widening: float = 0.0,
         corner_spacing: float | Sequence[float] = CORNER_SPACING,
+        hairpins: float = 0.0,
     ) -> "Track":
         """A circuit with straights, hairpins and bends to both sides; the same seed and ranges draw the same one.
 
@@ -106,6 +107,7 @@ class Track:
             gate_spacing: about how far the gates stand apart, m; by default `DEFAULT_GATE_SPACING`.
             widening: how much wider either half of the road may be in places, as a share; 0 for a road of one width.
             corner_spacing: about how far corners stand apart, in least radii of the centreline: a number or a range.
+            hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
 
         Raises:
             TrackError: a value is no such number or range, or no circuit has these measures.
@@ -114,7 +116,7 @@ class Track:
 
         name = f"random-{seed}"
         _check_gate_spacing(name, gate_spacing)
-        for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing):
+        for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing, hairpins):
             track = Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING)
             if not inspect_track(track, body_radius=0.0).faults:
                 return track

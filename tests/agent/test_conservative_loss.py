@@ -4,42 +4,15 @@ import math
 
 import pytest
 import torch
-from tensordict import TensorDict
-from torch import nn
-from torchrl.modules import QValueActor
 from torchrl.objectives import DiscreteCQLLoss
 
 from carrl.agent.loss import make_cql_loss, make_dqn_loss
 from carrl.agent.network import make_q_network
 from carrl.agent.target_updater import make_hard_update
 from carrl.errors import ConfigError
+from tests.agent.losses import TRAINED, linear_network, random_transitions, transitions, with_target
 
-TRAINED, TARGET = (1.0, 4.0, 2.0), (3.0, 5.0, 7.0)
 EXCESS = math.log(math.e + math.e**4 + math.e**2) - 1.0  # of all actions over the first, whose value is 1
-
-
-def linear_network(weights=TRAINED):
-    """Q-values that are the weights times a single input."""
-    layer = nn.Linear(1, 3, bias=False)
-    layer.weight.data = torch.tensor(weights)[:, None]
-    return QValueActor(layer, in_keys=["observation"], action_space="categorical")
-
-
-def transitions(count=1, action=0, reward=2.0):
-    following = {
-        "observation": torch.ones(count, 1),
-        "reward": torch.full((count, 1), reward),
-        "terminated": torch.zeros(count, 1, dtype=torch.bool),
-        "done": torch.zeros(count, 1, dtype=torch.bool),
-    }
-    values = {"observation": torch.ones(count, 1), "action": torch.full((count,), action), "next": following}
-    return TensorDict(values, [count])
-
-
-def with_target(loss, target=TARGET):
-    make_hard_update(1000, loss=loss)  # without an updater the loss warns
-    loss.target_value_network_params["module", "0", "module", "weight"].data.copy_(torch.tensor(target)[:, None])
-    return loss
 
 
 @pytest.mark.parametrize(("double_dqn", "next_value"), [(False, 7.0), (True, 5.0)])
@@ -69,18 +42,6 @@ def test_with_alpha_0_it_is_the_dqn_loss(double_dqn):
     conservative = with_target(make_cql_loss(0.5, "l2", double_dqn, 0.0, network=linear_network()))
     plain = with_target(make_dqn_loss(0.5, "l2", double_dqn, network=linear_network()))
     assert conservative(transitions())["loss"].item() == plain(transitions())["loss"].item()
-
-
-def random_transitions(count=64):
-    generator = torch.Generator().manual_seed(0)
-
-    def noise(*shape):
-        return torch.randn(count, *shape, generator=generator)
-
-    terminated = noise(1) > 0.5
-    following = {"observation": noise(7), "reward": noise(1), "terminated": terminated, "done": terminated}
-    action = torch.randint(3, (count,), generator=generator)
-    return TensorDict({"observation": noise(7), "action": action, "next": following}, [count])
 
 
 def test_torchrls_own_terms_give_the_same_where_the_target_network_is_the_trained_one():

@@ -64,6 +64,7 @@ EVERYTHING = (
     ("network=noisy", "replay_buffer=prioritized", "returns=n_step", "target_updater=soft"),
     ("loss=distributional", "gradient_clipping=norm", "learning_rate=linear", "learning_rate.updates=100"),
     ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping=norm"),
+    ("loss=advantage_learning", "replay_buffer=prioritized"),
 )
 
 

@@ -90,3 +90,38 @@ def test_corners_that_stand_further_apart_leave_longer_straights():
 def test_corners_cannot_stand_no_distance_apart():
     with pytest.raises(TrackError, match="corner_spacing is 0; it must be a number of least radii or a range"):
         Track.random(0, corner_spacing=0)
+
+
+def sharpest_turn(track):
+    """The most that the heading changes within 40 m, rad."""
+    heading = track.pose_at(torch.arange(0, track.length, 2.0).double())[:, 2]
+    steps = torch.cat([heading, heading[:20]]).diff()
+    return torch.atan2(steps.sin(), steps.cos()).unfold(0, 20, 1).sum(1).abs().max().item()
+
+
+def test_hairpins_are_corners_that_turn_further_than_others():
+    def share_of_acute(hairpins):
+        shape = {"corner_radius": 8.0, "width": 8.0, "length": 1000.0, "corner_spacing": 6.0, "hairpins": hairpins}
+        turns = [sharpest_turn(Track.random(seed, **shape)) for seed in range(40)]
+        return sum(turn > math.radians(135) for turn in turns) / len(turns)
+
+    assert share_of_acute(1.0) > 0.7
+    assert share_of_acute(0.0) < 0.3
+
+
+def test_circuits_with_hairpins_measure_what_was_wished_and_have_no_fault():
+    for seed in range(50):
+        track = Track.random(seed, corner_radius=9.0, width=10.0, length=900.0, corner_spacing=5.0, hairpins=1.0)
+        report = inspect_track(track)
+        assert report.length == pytest.approx(900.0, rel=0.01)
+        assert report.faults == ()
+
+
+def test_a_circuit_without_hairpins_is_drawn_as_ever():
+    assert (Track.random(3, hairpins=0.0).left_wall == Track.random(3).left_wall).all()
+
+
+@pytest.mark.parametrize("hairpins", [-0.1, 1.1, True, float("nan")])
+def test_hairpins_are_a_share(hairpins):
+    with pytest.raises(TrackError, match=r"hairpins is .*; it must be a share between 0 and 1"):
+        Track.random(0, hairpins=hairpins)
