@@ -166,6 +166,8 @@ def _join_u_turns(random: np.random.Generator, corners: np.ndarray, share: float
     joined = is_u_turn & (random.random(len(corners)) < share)
     joined[1:] &= ~joined[:-1]
     joined[-1] = False
+    if len(corners) - joined.sum() < 3:
+        return corners
     ends = np.roll(joined, 1)
     return np.where(joined[:, None], (corners + following) / 2, corners)[~ends]
 

@@ -117,6 +117,14 @@ def test_circuits_with_hairpins_measure_what_was_wished_and_have_no_fault():
         assert report.faults == ()
 
 
+@pytest.mark.parametrize("seed", [1024, 1054, 1058])
+def test_a_circuit_keeps_three_corners_however_many_are_hairpins(seed):
+    """The first shape that each of these seeds draws is a single cell, whose four corners are two U-turns."""
+    track = Track.random(seed, (8.0, 20.0), (8.0, 18.0), (600.0, 1800.0), 5.0, 1.0, (2.5, 12.0), 0.6)
+    assert inspect_track(track).faults == ()
+    assert 590 < track.length < 1810
+
+
 def test_a_circuit_without_hairpins_is_drawn_as_ever():
     assert (Track.random(3, hairpins=0.0).left_wall == Track.random(3).left_wall).all()
 
