@@ -119,12 +119,12 @@ def make_advantage_learning_loss(
 ) -> "AdvantageLearningLoss":
     """The loss of `make_dqn_loss`, in which an action that the target network values below the best one earns less.
 
-    The reward falls by `alpha` times the gap max Q(s, .) - Q(s, a). Where an action is worse by its effect in one short
-    step, its value so becomes worse by 1 / (1 - alpha) times as much, and the network's error hides it less; which
-    action is the best stays the same.
+    The reward falls by `alpha` times the gap max Q(s, .) - Q(s, a). Gaps so grow to 1 / (1 - alpha) times what they
+    are, and the network's error hides them less, which matters where one short step changes little. Which action is the
+    best stays the same, and so does its value.
 
-    Source: Baird 1999, "Reinforcement Learning Through Gradient Descent", chapter 6; Bellemare et al. 2016,
-    "Increasing the Action Gap: New Operators for Reinforcement Learning", eq. 7.
+    Source: Baird 1999, "Reinforcement Learning Through Gradient Descent"; Bellemare et al. 2016, "Increasing the Action
+    Gap: New Operators for Reinforcement Learning", the advantage learning operator.
 
     Raises:
         ConfigError: gamma lies outside 0..1, alpha is not at least 0 and less than 1, or the network predicts a

@@ -158,7 +158,10 @@ def _draw_corners(
 
 
 def _join_u_turns(random: np.random.Generator, corners: np.ndarray, share: float) -> np.ndarray:
-    """Corners [M, 2] in which one acute corner takes the place of some pairs that stand a cell apart and turn alike."""
+    """Corners [M, 2] in which one acute corner takes the place of some pairs that stand a cell apart and turn alike.
+
+    Joins none where fewer than three corners would be left.
+    """
     following = np.roll(corners, -1, axis=0)
     (x, y), (after_x, after_y) = (corners - np.roll(corners, 1, axis=0)).T, (following - corners).T
     turns = np.sign(x * after_y - y * after_x)
