@@ -4,7 +4,7 @@ Shapes: `N` transitions.
 """
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
@@ -14,6 +14,8 @@ from torchrl.objectives import DQNLoss
 from carrl.agent.network import is_dueling
 from carrl.agent.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
+
+_Loss = TypeVar("_Loss", bound=DQNLoss)
 
 
 def make_dqn_loss(
@@ -34,10 +36,7 @@ def make_dqn_loss(
     Raises:
         ConfigError: gamma lies outside 0..1, or the network predicts a distribution.
     """
-    _check_values_are_points(network)
-    loss = DQNLoss(network, **_options(loss_function, double_dqn))
-    set_discount(loss, gamma)
-    return loss
+    return _make(DQNLoss, network, gamma, loss_function, double_dqn)
 
 
 def make_dueling_loss(
@@ -75,10 +74,7 @@ def make_cql_loss(
     """
     if not 0 <= alpha < math.inf:
         raise ConfigError(f"loss.alpha is {alpha}; it must be a number of at least 0")
-    _check_values_are_points(network)
-    loss = ConservativeDQNLoss(network, alpha=alpha, **_options(loss_function, double_dqn))
-    set_discount(loss, gamma)
-    return loss
+    return _make(ConservativeDQNLoss, network, gamma, loss_function, double_dqn, alpha=alpha)
 
 
 class ConservativeDQNLoss(DQNLoss):
@@ -132,10 +128,7 @@ def make_advantage_learning_loss(
     """
     if not 0 <= alpha < 1:
         raise ConfigError(f"loss.alpha is {alpha}; it must be at least 0 and less than 1")
-    _check_values_are_points(network)
-    loss = AdvantageLearningLoss(network, alpha=alpha, **_options(loss_function, double_dqn))
-    set_discount(loss, gamma)
-    return loss
+    return _make(AdvantageLearningLoss, network, gamma, loss_function, double_dqn, alpha=alpha)
 
 
 class AdvantageLearningLoss(DQNLoss):
@@ -172,20 +165,24 @@ def _action_values(loss: DQNLoss, parameters: TensorDictParams, tensordict: Tens
     return values, taken
 
 
-def _options(loss_function: str, double_dqn: bool) -> dict[str, Any]:
-    return {
-        "loss_function": loss_function,
-        "delay_value": True,
-        "double_dqn": double_dqn,
-        "action_space": "categorical",
-    }
-
-
-def _check_values_are_points(network: QValueActor) -> None:
+def _make(
+    kind: type[_Loss], network: QValueActor, gamma: float, loss_function: str, double_dqn: bool, **own: float
+) -> _Loss:
+    """A loss of this kind on values that are points; `own` are the kind's own weights."""
     if predicts_distribution(network):
         raise ConfigError(
             "network is distributional, which loss=distributional alone can train; set it, or another network"
         )
+    loss = kind(
+        network,
+        **own,
+        loss_function=loss_function,
+        delay_value=True,
+        double_dqn=double_dqn,
+        action_space="categorical",
+    )
+    set_discount(loss, gamma)
+    return loss
 
 
 def set_discount(loss: DQNLoss, gamma: float) -> None:

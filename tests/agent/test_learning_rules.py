@@ -4,25 +4,18 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.modules import QValueActor
 
 from carrl.agent.loss import make_dqn_loss
 from carrl.agent.network import make_q_network
 from carrl.agent.target_updater import make_hard_update
 from carrl.errors import ConfigError
+from tests.agent.losses import linear_network, with_target
 
 
 def make_network(seed=0, hidden_sizes=(16, 16, 8)):
     return make_q_network(
         list(hidden_sizes), observation_size=7, action_count=3, generator=torch.Generator().manual_seed(seed)
     )
-
-
-def linear_network(weights):
-    """Q-values that are the weights times a single input."""
-    layer = nn.Linear(1, 3, bias=False)
-    layer.weight.data = torch.tensor(weights)[:, None]
-    return QValueActor(layer, in_keys=["observation"], action_space="categorical")
 
 
 def transition(reward, terminated=False, truncated=False):
@@ -41,12 +34,8 @@ def transition(reward, terminated=False, truncated=False):
     )
 
 
-def loss_of(batch, double_dqn, trained=(1.0, 4.0, 2.0), target=(3.0, 5.0, 7.0)):
-    network = linear_network(trained)
-    loss = make_dqn_loss(0.5, "l2", double_dqn, network=network)
-    make_hard_update(1000, loss=loss)  # without an updater the loss warns
-    loss.target_value_network_params["module", "0", "module", "weight"].data.copy_(torch.tensor(target)[:, None])
-    return loss(batch)["loss"].item()
+def loss_of(batch, double_dqn):
+    return with_target(make_dqn_loss(0.5, "l2", double_dqn, network=linear_network()))(batch)["loss"].item()
 
 
 def test_dqn_takes_the_greatest_value_of_the_target_network():
