@@ -50,6 +50,11 @@ def _parser() -> argparse.ArgumentParser:
             f"--{measure}", type=float, nargs="+", metavar="M", help="m: one number, or two that are a range"
         )
     random.add_argument(
+        "--corner-spacing", type=float, nargs="+", metavar="R", help="in least radii: one number, or two"
+    )
+    random.add_argument("--widening", type=float, metavar="SHARE", help="how much wider the road is in places")
+    random.add_argument("--hairpins", type=float, metavar="SHARE", help="of the U-turns that are one acute corner")
+    random.add_argument(
         "--out", metavar="FILE.csv", help="default: random-SEED.csv; with --count above 1 each name gets its seed"
     )
     random.add_argument("--force", action="store_true", help="replace files that are there already")
@@ -123,7 +128,7 @@ def _random(arguments: argparse.Namespace) -> int:
             raise TrackError(f"'{path}' is there already; choose another --out, or --force to replace it")
     reports = []
     for seed, path in zip(seeds, paths, strict=True):
-        track = Track.random(seed, **_ranges(arguments))
+        track = Track.random(seed, **_shape(arguments))
         write_csv(path, _centreline_of(track))
         reports.append({"path": str(path), "seed": seed, **_as_json(inspect_track(track))})
         if not arguments.json:
@@ -140,10 +145,11 @@ def _path_of(seed: int, arguments: argparse.Namespace) -> Path:
     return path.with_name(f"{path.stem}-{seed}.csv") if arguments.out and arguments.count > 1 else path
 
 
-def _ranges(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The measures that were given: one number as itself, more as a range."""
-    given = {name: getattr(arguments, name) for name in ("corner_radius", "width", "length")}
-    return {name: value[0] if len(value) == 1 else value for name, value in given.items() if value}
+def _shape(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What was said of the circuits' shape: of the measures, one number as itself, more as a range."""
+    names = ("corner_radius", "width", "length", "corner_spacing", "widening", "hairpins")
+    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in given.items()}
 
 
 def _centreline_of(track: "Track") -> Any:

@@ -96,6 +96,13 @@ def test_random_takes_measures_as_numbers_or_ranges(capsys):
     assert 297 < document["length"] < 404
 
 
+def test_random_takes_the_whole_shape_of_a_circuit():
+    shape = ["--length", "900", "--corner-spacing", "3", "8", "--widening", "0.5", "--hairpins", "1"]
+    assert main(["track", "random", "--seed", "4", *shape]) == 0
+    drawn = Track.random(4, length=900.0, corner_spacing=(3.0, 8.0), widening=0.5, hairpins=1.0)
+    torch.testing.assert_close(Track.load("random-4.csv").walls, drawn.walls, atol=1e-3, rtol=0)
+
+
 def test_random_writes_several_circuits_each_under_its_seed(folder):
     assert main(["track", "random", "--seed", "3", "--count", "3", "--out", "town.csv"]) == 0
     assert sorted(path.name for path in folder.iterdir()) == ["town-3.csv", "town-4.csv", "town-5.csv"]
@@ -122,6 +129,7 @@ def test_random_replaces_a_file_only_when_told(capsys, folder):
         (["random", "--count", "0"], "--count is 0; it must be at least 1"),
         (["random", "--seed", "-1"], "seed is -1; it must be a whole number from 0 on"),
         (["random", "--width", "20", "--corner-radius", "5"], "corner_radius is at most 5 m"),
+        (["random", "--hairpins", "2"], "hairpins is 2.0; it must be a share between 0 and 1"),
         (["random", "--width", "1", "2", "3"], "width is [1.0, 2.0, 3.0]; it must be"),
         (["random", "--out", "track.txt"], "--out is 'track.txt'; the track is a CSV file"),
         (["random", "--out", "no/track.csv"], "'no/track.csv' cannot be written: No such file or directory"),
