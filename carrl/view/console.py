@@ -93,15 +93,25 @@ class TrainingDisplay(Display[Trainer]):
         """Env steps, episodes, laps and returns."""
         runs = trainer.runs
         recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
-        lapped = sum(run.first_lap is not None for run in runs)
         mean_return = sum(recent) / len(recent) if recent else math.nan
         rate = sum(run.moment.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
         return (
             f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
             f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
             f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · "
-            f"epsilon {runs[0].moment.epsilon:.2f} · greedy lap by {lapped} of {len(runs)}"
+            f"epsilon {runs[0].moment.epsilon:.2f} · {_laps_so_far(trainer)}"
         )
+
+
+def _laps_so_far(trainer: Trainer) -> str:
+    """How many agents lapped the track, or on how many of several circuits their best networks did."""
+    runs = trainer.runs
+    trials = [run.best for run in runs if run.best is not None]
+    if not trials or len(trials[0].drives) == 1:
+        return f"greedy lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
+    laps = [trial.laps_completed for trial in trials]
+    each = f"{min(laps)}" if min(laps) == max(laps) else f"{min(laps)} to {max(laps)}"
+    return f"lapped {each} of {len(trials[0].drives)}"
 
 
 class OfflineDisplay(Display[OfflineTrainer]):
@@ -158,7 +168,6 @@ def _is_offline(summary: Mapping[str, Any]) -> bool:
 
 
 _DRIVE_COLUMNS: dict[str, Callable[[Mapping[str, Any]], str]] = {
-    "progress": lambda summary: f"{summary['evaluation']['progress']:.0%}",
     "reward": lambda summary: f"{summary['evaluation']['lap_reward']:.0f}",
     "forward": lambda summary: f"{summary['evaluation']['forward_share']:.0%}",
     "switches / 100 m": lambda summary: f"{summary['evaluation']['switches_per_100m']:.1f}",
@@ -168,12 +177,14 @@ _COLUMNS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "frames": lambda summary: f"{summary['frames']:,}",
     "episodes": lambda summary: f"{summary['episodes']:,}",
     "first greedy lap": lambda summary: f"{summary['first_lap']['frame']:,}" if summary["first_lap"] else "none",
+    "best greedy lap": lambda summary: _how_far(summary["evaluation"]),
     **_DRIVE_COLUMNS,
 }
 _OFFLINE_COLUMNS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "seed": lambda summary: str(summary["seed"]),
     "transitions": lambda summary: f"{summary['transitions']:,}",
     "updates": lambda summary: f"{summary['updates']:,}",
+    "greedy lap": lambda summary: _how_far(summary["evaluation"]),
     **_DRIVE_COLUMNS,
 }
 
@@ -205,4 +216,6 @@ def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _how_far(attempt: Mapping[str, Any]) -> str:
+    if "circuits" in attempt:
+        return f"{attempt['laps_completed']} of {attempt['circuits']} circuits"
     return "complete" if attempt["lap_completed"] else f"{attempt['progress']:.0%} of a lap"

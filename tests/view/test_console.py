@@ -1,0 +1,25 @@
+"""What a run shows on the terminal."""
+
+import pytest
+
+from carrl.cli.main import main
+
+SHORT = ["compile=false", "recorder=none", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
+SHORT += ["vehicle.turn_radius=100"]  # so that no car can lap
+CIRCUITS = ["track=circuits", "track.count=2", "track.validation=3"]
+
+
+@pytest.mark.parametrize("seeds", ["null", "[0,1]"])
+def test_of_many_circuits_it_says_how_many_are_lapped(seeds, tmp_path, capsys):
+    assert main(["train", *SHORT, *CIRCUITS, f"trainer.seeds={seeds}", f"hydra.run.dir={tmp_path}"]) == 0
+    output = capsys.readouterr()
+    assert "0 of 3 circuits" in output.out
+    assert "lapped 0 of 3" in output.err
+
+
+@pytest.mark.parametrize(("seeds", "agents"), [("null", 1), ("[0,1]", 2)])
+def test_of_one_track_it_says_how_far_the_best_drive_came(seeds, agents, tmp_path, capsys):
+    assert main(["train", *SHORT, "track=oval", f"trainer.seeds={seeds}", f"hydra.run.dir={tmp_path}"]) == 0
+    output = capsys.readouterr()
+    assert "% of a lap" in output.out
+    assert f"greedy lap by 0 of {agents}" in output.err
