@@ -50,7 +50,11 @@ def _parser() -> argparse.ArgumentParser:
             f"--{measure}", type=float, nargs="+", metavar="M", help="m: one number, or two that are a range"
         )
     random.add_argument(
-        "--corner-spacing", type=float, nargs="+", metavar="R", help="in least radii: one number, or two"
+        "--corner-spacing",
+        type=float,
+        nargs="+",
+        metavar="R",
+        help="in least radii: one number, or two that are a range",
     )
     random.add_argument("--widening", type=float, metavar="SHARE", help="how much wider the road is in places")
     random.add_argument("--hairpins", type=float, metavar="SHARE", help="of the U-turns that are one acute corner")

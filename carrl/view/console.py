@@ -103,17 +103,6 @@ class TrainingDisplay(Display[Trainer]):
         )
 
 
-def _laps_so_far(trainer: Trainer) -> str:
-    """How many agents lapped the track, or on how many of several circuits their best networks did."""
-    runs = trainer.runs
-    trials = [run.best for run in runs if run.best is not None]
-    if not trials or len(trials[0].drives) == 1:
-        return f"greedy lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
-    laps = [trial.laps_completed for trial in trials]
-    each = f"{min(laps)}" if min(laps) == max(laps) else f"{min(laps)} to {max(laps)}"
-    return f"lapped {each} of {len(trials[0].drives)}"
-
-
 class OfflineDisplay(Display[OfflineTrainer]):
     """Shows how learning from logs goes."""
 
@@ -156,6 +145,17 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
     rows = [[value_of(summary) for value_of in columns.values()] for summary in summaries]
     print_table(f"{len(rows)} seeds on track {summaries[0]['track']}", tuple(columns), rows)
     Console().print(_place(folder), soft_wrap=True, highlight=False)
+
+
+def _laps_so_far(trainer: Trainer) -> str:
+    """How many agents lapped the track, or on how many of several circuits their best networks did."""
+    runs = trainer.runs
+    trials = [run.best for run in runs if run.best is not None]
+    if not trials or len(trials[0].drives) == 1:
+        return f"greedy lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
+    laps = [trial.laps_completed for trial in trials]
+    each = f"{min(laps)}" if min(laps) == max(laps) else f"{min(laps)} to {max(laps)}"
+    return f"lapped {each} of {len(trials[0].drives)}"
 
 
 def _place(folder: Path) -> str:
