@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from benchmarks.child import CARRL, ROOT, BenchError, environment, last_line
@@ -23,7 +24,7 @@ _TOLERANCE_S = 1.0
 
 @dataclass(frozen=True)
 class FirstLap:
-    """When one run first completed a greedy lap.
+    """When one run first completed a greedy lap that the next evaluation confirmed.
 
     Attributes:
         after_s: since the process was started.
@@ -78,19 +79,22 @@ def recipe_row(recipe: str, cache: str, laps: Sequence[FirstLap | None]) -> list
 
 
 def _time_first_lap(recipe: str, seed: int, caches: str) -> FirstLap | None:
-    """Trains until the first greedy lap, or to the recipe's end where there is none."""
+    """Trains until the first greedy lap is confirmed, or to the recipe's end where there is none."""
     with tempfile.TemporaryDirectory() as name:
         command = [sys.executable, *CARRL, f"experiment={recipe}", f"seed={seed}", f"hydra.run.dir={name}"]
         own_caches = {variable: f"{caches}/{variable}" for variable in CACHES}
         with (Path(name) / "stderr").open("w+", encoding="utf-8") as errors:
             began, seen_s = time.perf_counter(), None
+            seen: list[float] = []  # when each evaluation was
             process = subprocess.Popen(
                 command, cwd=ROOT, env=environment(own_caches), stdout=subprocess.DEVNULL, stderr=errors
             )
             try:
                 while process.poll() is None:
-                    if seen_s is None and _has_lapped(Path(name) / "evaluations.csv"):
-                        seen_s = time.perf_counter() - began
+                    laps = _evaluated_laps(Path(name) / "evaluations.csv")
+                    seen += [time.perf_counter() - began] * (len(laps) - len(seen))
+                    if seen_s is None and (row := confirmed_lap(laps)) is not None:
+                        seen_s = seen[row]
                         process.send_signal(signal.SIGTERM)  # upon which a run saves everything and ends
                     time.sleep(_POLL_S)
             finally:
@@ -123,8 +127,14 @@ def read_first_lap(summary: dict, seen_s: float | None) -> FirstLap | None:
     return FirstLap(after_s, summary["start_up_s"], summary["first_lap"]["frame"])
 
 
-def _has_lapped(evaluations: Path) -> bool:
+def confirmed_lap(laps: Sequence[bool]) -> int | None:
+    """The first evaluation that completes the lap and is followed by another that does; None where none is."""
+    return next((row for row, pair in enumerate(pairwise(laps)) if all(pair)), None)
+
+
+def _evaluated_laps(evaluations: Path) -> list[bool]:
+    """Whether each evaluation so far completed the lap."""
     if not evaluations.is_file():
-        return False
+        return []
     with evaluations.open(encoding="utf-8", newline="") as file:
-        return any(row["lap_completed"] == "True" for row in csv.DictReader(file))
+        return [row["lap_completed"] == "True" for row in csv.DictReader(file)]

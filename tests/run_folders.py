@@ -84,7 +84,9 @@ def write_offline_run(folder: Path, seed: int = 0, updates: int = 500, **drive: 
     """A run that has learnt from logs, which had no episodes."""
     write_run(folder, seed, frames=0, drive=drive, data={"path": "train.mcap", "updates": 500})
     summary = json.loads((folder / "summary.json").read_text())
-    (folder / "summary.json").write_text(json.dumps(summary | {"transitions": 1000, "updates": updates}))
+    (folder / "summary.json").write_text(
+        json.dumps(summary | {"first_lap": None, "transitions": 1000, "updates": updates})
+    )
     (folder / "metrics.csv").write_text("updates,loss\n500,1.0\n")
     return folder
 

@@ -81,6 +81,20 @@ def test_the_first_lap_counts_from_the_start_of_the_process():
     assert recipes.recipe_row("fast", "cold", [None])[2:] == ["-", "-", "-", "0 of 1"]
 
 
+@pytest.mark.parametrize(
+    ("laps", "row"),
+    [
+        ([], None),
+        ([True], None),
+        ([True, False, True], None),
+        ([False, True, True], 1),
+        ([True, False, True, True, True], 2),
+    ],
+)
+def test_the_first_lap_is_the_first_one_that_the_next_evaluation_confirms(laps, row):
+    assert recipes.confirmed_lap(laps) == row
+
+
 LOOP, UPDATE, SAMPLE, CALL = (
     ("/x/carrl/run/trainer.py", 8, "run"),
     ("/x/carrl/run/learner.py", 5, "learn"),

@@ -227,7 +227,8 @@ def _parser() -> argparse.ArgumentParser:
         "--objective",
         choices=OBJECTIVES,
         default="first_lap",
-        help="first_lap: env steps until the greedy policy first laps (default); drive: how well it drives at its best",
+        help="first_lap: env steps until the greedy policy first laps, and again at the next evaluation (default); "
+        "drive: how well it drives at its best",
     )
     parser.add_argument("--no-pruning", action="store_true", help="give up no trial before its end")
     parser.add_argument("--folder", type=Path, help="of the study, to go on with it (default: outputs/tune/DATE/TIME)")

@@ -17,9 +17,11 @@ RECENT_EPISODES = 20
 
 @dataclass(frozen=True)
 class FirstLap:
-    """When the greedy policy first completed its lap, or those of all circuits at once.
+    """When the greedy policy first completed its lap, or those of all circuits at once, and did so again.
 
-    That is after how many ended episodes, env steps and seconds.
+    That is after how many ended episodes, env steps and seconds. A network that has made no update laps by luck alone,
+    and one that has learnt little may lap once in passing; so a lap counts only if the network has been updated and
+    the next evaluation completes the lap as well. The figures are those of the first of the two.
     """
 
     episode: int
@@ -32,6 +34,7 @@ class AgentRun:
 
     Attributes:
         moment: the latest that it was told of; that of its end once it is over.
+        first_lap: None until it is confirmed.
     """
 
     def __init__(self, agent: Agent, folder: RunFolder) -> None:
@@ -42,6 +45,7 @@ class AgentRun:
         self._recent_returns: deque[float] = deque(maxlen=RECENT_EPISODES)
         self.laps = 0
         self.first_lap: FirstLap | None = None
+        self._unconfirmed_lap: FirstLap | None = None
         self.best: Trial | None = None
         self.last: Trial | None = None
         self._checkpoints: dict[str, dict[str, Any]] = {}
@@ -53,6 +57,7 @@ class AgentRun:
             "episode_returns": self.episode_returns,
             "laps": self.laps,
             "first_lap": asdict(self.first_lap) if self.first_lap else None,
+            "unconfirmed_lap": asdict(self._unconfirmed_lap) if self._unconfirmed_lap else None,
             "best": self.best.state_dict() if self.best else None,
             "last": self.last.state_dict() if self.last else None,
             "checkpoints": self._checkpoints,
@@ -64,7 +69,10 @@ class AgentRun:
         self.episode_returns = list(state["episode_returns"])
         self._recent_returns.extend(self.episode_returns[-RECENT_EPISODES:])
         self.laps = state["laps"]
-        self.first_lap = FirstLap(**state["first_lap"]) if state["first_lap"] else None
+        self.first_lap, self._unconfirmed_lap = (
+            FirstLap(**state[name]) if state.get(name) else None  # older versions confirmed no lap
+            for name in ("first_lap", "unconfirmed_lap")
+        )
         self.best, self.last = (
             Trial.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
         )
@@ -99,13 +107,22 @@ class AgentRun:
         """Notes a trial without exploration, and keeps the network that drove it and the best one so far."""
         self.moment = moment
         self.last = attempt
-        if attempt.lap_completed and self.first_lap is None:
-            self.first_lap = FirstLap(self.episodes, moment.frames, moment.wall_time_s)
+        if self.first_lap is None:
+            self._seek_first_lap(attempt, moment)
         self.folder.add_evaluation(attempt, moment.frames, self.episodes)
         self.keep_network("last", moment)
         if self.best is None or attempt.quality > self.best.quality:
             self.best = attempt
             self.keep_network("best", moment)
+
+    def _seek_first_lap(self, attempt: Trial, moment: Moment) -> None:
+        """Confirms the lap of the evaluation before this one, or forgets it and takes note of this one's."""
+        if not attempt.lap_completed:
+            self._unconfirmed_lap = None
+        elif self._unconfirmed_lap is not None:
+            self.first_lap, self._unconfirmed_lap = self._unconfirmed_lap, None
+        elif moment.updates > 0:
+            self._unconfirmed_lap = FirstLap(self.episodes, moment.frames, moment.wall_time_s)
 
     def keep_network(self, name: str, moment: Moment) -> None:
         """Writes the network as it is now into `checkpoints/NAME.pt`."""

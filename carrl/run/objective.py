@@ -14,7 +14,7 @@ class Objective(NamedTuple):
     Attributes:
         direction: of better values.
         of_run: the value of one agent's run so far, given the frames that it may have in all.
-        settles: whether a run's value is final once its car has lapped.
+        settles: whether a run's value is final once its first lap is confirmed.
     """
 
     direction: Direction
@@ -31,7 +31,7 @@ class Objective(NamedTuple):
 
 
 def _frames_to_lap(run: AgentRun, frames: int) -> float:
-    """Env steps before the first greedy lap; a run without one counts as if it needed up to twice its length."""
+    """Env steps before the first greedy lap; without a confirmed one, as if it needed up to twice the run's length."""
     if run.first_lap is not None:
         return float(run.first_lap.frame)
     return frames * (2.0 - (run.best.measures()["progress"] if run.best else 0.0))

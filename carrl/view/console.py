@@ -17,6 +17,7 @@ from rich.text import Text
 from carrl.printable import printable
 from carrl.run.agent_run import RECENT_EPISODES
 from carrl.run.offline_trainer import OfflineTrainer
+from carrl.run.report.summary_file import missing_lap
 from carrl.run.trainer import Trainer
 from carrl.view.terminal_table import print_table
 
@@ -148,11 +149,11 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
 
 
 def _laps_so_far(trainer: Trainer) -> str:
-    """How many agents lapped the track, or on how many of several circuits their best networks did."""
+    """How many agents lapped the track twice running, or on how many of several circuits their best networks did."""
     runs = trainer.runs
     trials = [run.best for run in runs if run.best is not None]
     if not trials or len(trials[0].drives) == 1:
-        return f"greedy lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
+        return f"first lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
     laps = [trial.laps_completed for trial in trials]
     each = f"{min(laps)}" if min(laps) == max(laps) else f"{min(laps)} to {max(laps)}"
     return f"lapped {each} of {len(trials[0].drives)}"
@@ -176,7 +177,9 @@ _COLUMNS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "seed": lambda summary: str(summary["seed"]),
     "frames": lambda summary: f"{summary['frames']:,}",
     "episodes": lambda summary: f"{summary['episodes']:,}",
-    "first greedy lap": lambda summary: f"{summary['first_lap']['frame']:,}" if summary["first_lap"] else "none",
+    "first greedy lap": lambda summary: (
+        f"{summary['first_lap']['frame']:,}" if summary["first_lap"] else missing_lap(summary, "none")
+    ),
     "best greedy lap": lambda summary: _how_far(summary["evaluation"]),
     **_DRIVE_COLUMNS,
 }
@@ -201,9 +204,8 @@ def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.insert(0, ("transitions from logs", f"{summary['transitions']:,}"))
     else:
         rows[:0] = [("frames", f"{summary['frames']:,}"), ("episodes", f"{summary['episodes']:,}")]
-        rows.append(
-            ("first greedy lap", f"frame {first['frame']:,}, episode {first['episode']:,}" if first else "none")
-        )
+        lap = f"frame {first['frame']:,}, episode {first['episode']:,}" if first else missing_lap(summary, "none")
+        rows.append(("first greedy lap", lap))
     if best:
         rows += [
             ("greedy lap" if _is_offline(summary) else "best greedy lap", _how_far(best)),

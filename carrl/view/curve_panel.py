@@ -28,7 +28,7 @@ class RunCurve:
 
     Attributes:
         episode_returns: one per finished episode, in order, [E].
-        first_lap_episode: how many episodes had been driven when the greedy policy first lapped; None if it never did.
+        first_lap_episode: how many episodes had been driven at the first confirmed greedy lap; None if there was none.
     """
 
     episode_returns: Sequence[float]

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from carrl.printable import printable
+from carrl.run.report.summary_file import missing_lap
 from carrl.run.sweep import JobNote, SweepFolder, read_summaries
 from carrl.view.terminal_table import print_table
 
@@ -73,7 +74,7 @@ def _result(summaries: Sequence[Mapping[str, Any]]) -> str:
     if not summaries:
         return "no result"
     laps, first, progress, *_ = _figures(summaries)
-    if first != "none":
+    if any(summary["first_lap"] for summary in summaries):
         return f"first greedy lap at {first} frames" + (f" (median), {laps} lap" if len(summaries) > 1 else "")
     return f"{progress} of a lap" if progress else "not driven yet"
 
@@ -88,7 +89,7 @@ def _figures(summaries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     values = [median(drive[key] for drive in drives) for key in ("progress", "lap_reward", "forward_share")]
     return (
         f"{lapped} of {len(summaries)}",
-        f"{median(first_laps):,.0f}" if first_laps else "none",
+        f"{median(first_laps):,.0f}" if first_laps else max(missing_lap(each, "none") for each in summaries),
         f"{values[0]:.0%}",
         f"{values[1]:.0f}",
         f"{values[2]:.0%}",

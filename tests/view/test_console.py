@@ -22,4 +22,4 @@ def test_of_one_track_it_says_how_far_the_best_drive_came(seeds, agents, tmp_pat
     assert main(["train", *SHORT, "track=oval", f"trainer.seeds={seeds}", f"hydra.run.dir={tmp_path}"]) == 0
     output = capsys.readouterr()
     assert "% of a lap" in output.out
-    assert f"greedy lap by 0 of {agents}" in output.err
+    assert f"first lap by 0 of {agents}" in output.err

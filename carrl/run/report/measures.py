@@ -1,7 +1,8 @@
 """What runs are compared by.
 
 Smoothness is that of the best greedy drive and counts only where that drive completes the lap: a car that crashes
-before the first corner has not switched once. A run that never lapped has its first lap after all others'. Returns and
+before the first corner has not switched once. A run without a first lap, or whose first lap is not confirmed, has it
+after all others'. Returns and
 rewards are on the same scale only where the track and what is paid for are the same.
 """
 

@@ -7,6 +7,7 @@ from carrl.run.best_lap import find_best_lap
 from carrl.run.build import World, build_world
 from carrl.run.evaluation import Drive
 from carrl.run.report.reading import RunResult
+from carrl.run.report.summary_file import missing_lap
 from carrl.run.report.tables import markdown
 from carrl.sim.simulator import Simulator
 
@@ -72,8 +73,7 @@ def _row(run: RunResult) -> list[str]:
         run.label,
         f"{run.summary['episodes']:,}",
         f"{run.summary['frames']:,}",
-        f"{first['episode']:,}" if first else "never",
-        f"{first['frame']:,}" if first else "never",
+        *([f"{first['episode']:,}", f"{first['frame']:,}"] if first else [missing_lap(run.summary, "never")] * 2),
     ]
     best = run.summary["evaluation"]
     if best is None:

@@ -47,6 +47,18 @@ def read_summary(run: Path) -> dict[str, Any]:
     return dict(summary)
 
 
+def missing_lap(summary: Mapping[str, Any], never: str) -> str:
+    """What stands in the place of a run's first lap where it has none.
+
+    "not confirmed" of one that did lap, `never` of one that did not, and "-" of one that learnt from logs, which is
+    driven once.
+    """
+    if "transitions" in summary:
+        return "-"
+    best = summary["evaluation"]
+    return "not confirmed" if best is not None and best["lap_completed"] else never
+
+
 def _refuse(name: str) -> None:
     raise ValueError(f"{name} is not JSON")
 

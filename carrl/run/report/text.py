@@ -20,8 +20,9 @@ METHOD = f"""\
 - A difference is significant where this interval excludes 0.5 and the corrected p is below {SIGNIFICANCE}. p is that of
   the exact two-sided Mann-Whitney test, corrected by Holm's method for all pairs that are compared by the same measure,
   not for the number of measures.
-- A run that never lapped has its first lap after all others' in comparisons. In means it counts with the frames or
-  seconds that it was driven, and the mean is marked ≥.
+- The first lap is a greedy evaluation that completes the lap, after at least one update, and is confirmed by the next
+  evaluation, which completes it as well. A run without one has its first lap after all others' in comparisons. In means
+  it counts with the frames or seconds that it was driven, and the mean is marked ≥.
 - Progress, reward and smoothness are those of the best greedy drive; smoothness only where it completed the lap.
 - Returns and rewards are compared only between groups with the same track and rewards.
 - Seconds depend on the machine and on what else it did. Seeds that were trained at once share one clock and one
