@@ -5,9 +5,9 @@ import logging
 import os
 import platform
 import shutil
-import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
+
+from carrl.run.package_cache import CacheError, delete_package, find_package, keep_package, open_cache, workspace
 
 _logger = logging.getLogger(__name__)
 
@@ -39,8 +41,8 @@ def compile_native(function: Callable[..., Any], inputs: Sequence[Tensor]) -> Na
     It returns a tensor or a tuple of them, the native code a list.
 
     What the function does to its inputs in place, the native code does too. Python branches are taken as they were in
-    the trace. The code is kept in `cache_dir()`, under a name that any change of the function, the shapes, torch or the
-    processor changes; the first compilation takes about half a minute, loading it again some milliseconds.
+    the trace. The code is kept in the cache folder, under a name that any change of the function, the shapes, torch or
+    the processor changes; the first compilation takes about half a minute, loading it again some milliseconds.
 
     Raises:
         CompilationError: there is no C++ compiler, or the function cannot be traced or compiled.
@@ -48,38 +50,35 @@ def compile_native(function: Callable[..., Any], inputs: Sequence[Tensor]) -> Na
     if shutil.which(os.environ.get("CXX", "g++")) is None:
         raise CompilationError("no C++ compiler is installed; install g++, or set CXX")
     try:
-        graph = make_fx(lambda *tensors: function(*tensors))(*inputs)  # a lambda, since it refuses bound methods
-        package = _private(cache_dir()) / f"{_fingerprint(graph, inputs)}.pt2"
-        if not package.exists():
-            _logger.warning("Compiling for this machine; this takes about half a minute, once.")
-            _compile(graph, inputs, package)
-        # What torch._inductor.aoti_load_package (torch 2.13) does, without two seconds of imports; its model also sorts
-        # the arguments of every call first, in as much time as this one computes.
-        loader = torch._C._aoti.AOTIModelPackageLoader(str(package), "model", False, 1, -1)
-    except CompilationError:
-        raise
+        cache = open_cache()
+        with workspace(cache) as folder:
+            graph = make_fx(lambda *tensors: function(*tensors))(*inputs)  # a lambda, since it refuses bound methods
+            fingerprint = _fingerprint(graph, inputs)
+            return _load_kept(cache, fingerprint) or _compile(graph, inputs, folder, cache, fingerprint)
+    except CacheError as error:
+        raise CompilationError(str(error)) from error
     except Exception as error:  # tracer, exporter, compiler and loader each have errors of their own
         raise CompilationError(f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}") from error
-    native: NativeFunction = loader.run
+
+
+def _load_kept(cache: Path, fingerprint: str) -> NativeFunction | None:
+    """Code that was compiled before; None where there is none, or none that can be loaded here any more."""
+    package = find_package(cache, fingerprint)
+    if package is None:
+        return None
+    try:
+        return _load(package)
+    except RuntimeError:
+        delete_package(package, "cannot be loaded")
+        return None
+
+
+def _load(package: Path) -> NativeFunction:
+    """The code in a package; the loader unpacks it into the workspace and needs the files there no longer than this."""
+    # What torch._inductor.aoti_load_package (torch 2.13) does, without two seconds of imports; its model also sorts
+    # the arguments of every call first, in as much time as this one computes.
+    native: NativeFunction = torch._C._aoti.AOTIModelPackageLoader(str(package), "model", False, 1, -1).run
     return native
-
-
-def cache_dir() -> Path:
-    """Where compiled code is kept: the user's own cache folder, for code in it is run."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "carrl"
-
-
-def _private(folder: Path) -> Path:
-    """The folder, made if need be, that nobody else can write to.
-
-    Raises:
-        CompilationError: others can.
-    """
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    status = folder.stat()
-    if status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise CompilationError(f"'{folder}' belongs to another user or can be written by others; chmod 700 it")
-    return folder
 
 
 def _fingerprint(graph: GraphModule, inputs: Sequence[Tensor]) -> str:
@@ -96,12 +95,30 @@ def _fingerprint(graph: GraphModule, inputs: Sequence[Tensor]) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 
 
-def _compile(graph: GraphModule, inputs: Sequence[Tensor], package: Path) -> None:
-    """Compiles into a file beside the package first, so that two processes may compile at once."""
-    with tempfile.TemporaryDirectory(dir=package.parent) as folder, warnings.catch_warnings():
+def _compile(
+    graph: GraphModule, inputs: Sequence[Tensor], folder: Path, cache: Path, fingerprint: str
+) -> NativeFunction:
+    """Compiles in the workspace and keeps what can be loaded; several processes may compile the same at once."""
+    _logger.warning("Compiling for this machine; this takes about half a minute, once.")
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # torch 2.13's exporter warns of torch's own code
         program = torch.export.export(graph, tuple(inputs))
-        partial_package = torch._inductor.aoti_compile_and_package(
-            program, package_path=f"{folder}/{package.name}", inductor_configs=_QUICK_TO_COMPILE
-        )
-        os.replace(partial_package, package)
+        with _forgotten_paths():
+            path = torch._inductor.aoti_compile_and_package(
+                program, package_path=f"{folder}/package.pt2", inductor_configs=_QUICK_TO_COMPILE
+            )
+    native = _load(Path(path))
+    keep_package(cache, fingerprint, Path(path))
+    return native
+
+
+@contextmanager
+def _forgotten_paths() -> Iterator[None]:
+    """Lets Inductor remember no file of an earlier workspace here, and none of this one afterwards."""
+    from torch._inductor.utils import clear_caches  # here, since loading needs none of Inductor, which imports slowly
+
+    clear_caches()
+    try:
+        yield
+    finally:
+        clear_caches()

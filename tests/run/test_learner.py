@@ -11,7 +11,8 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from carrl.data.replay_buffer import KEYS
 from carrl.run.build import build_pipeline
 from carrl.run.learner import Learner
-from carrl.run.native import CompilationError, _fingerprint, cache_dir
+from carrl.run.native import CompilationError, _fingerprint
+from carrl.run.package_cache import cache_dir
 from tests.configs import compose
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
@@ -188,5 +189,5 @@ def test_code_is_not_loaded_from_a_folder_that_others_can_write_to(tmp_path, mon
     cache_dir().mkdir()
     cache_dir().chmod(0o777)
     updated(make_pipeline("compile=true"), count=2)
-    assert "can be written by others; chmod 700 it" in caplog.text
+    assert "can be written by others; remove it" in caplog.text
     assert list(cache_dir().iterdir()) == []
