@@ -72,7 +72,12 @@ def delete_package(package: Path, reason: str) -> None:
 
 
 def keep_package(cache: Path, fingerprint: str, package: Path) -> None:
-    """Moves a package, which lies on the same disk, into the cache, and forgets others where there are too many."""
+    """Moves a package, which lies on the same disk, into the cache, and forgets others where there are too many.
+
+    Where another process has kept the same code meanwhile, that will do.
+    """
+    if find_package(cache, fingerprint) is not None:
+        return
     package.chmod(0o600)
     kept = cache / f"{fingerprint}.{_checksum(package)}.pt2"
     os.replace(package, kept)

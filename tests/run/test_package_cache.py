@@ -67,15 +67,18 @@ def test_a_package_is_found_whole_whatever_the_umask(cache, caplog):
     assert caplog.text == ""
 
 
-def test_two_processes_may_keep_the_same_code(cache):
-    """Compilers do not make the same bytes twice."""
-    with workspace(cache) as ours, workspace(cache) as theirs:
-        assert ours != theirs
-        for folder, content in ((ours, b"ours"), (theirs, b"theirs")):
+def test_two_processes_may_compile_the_same_at_once(cache):
+    """Compilers do not make the same bytes twice; those of the first one to end are kept."""
+    with workspace(cache) as first, workspace(cache) as second:
+        assert first != second
+        for folder, content in ((first, b"first"), (second, b"second")):
             (folder / "package.pt2").write_bytes(content)
             keep_package(cache, "abc", folder / "package.pt2")
-    assert {path.read_bytes() for path in cache.glob("abc.*.pt2")} == {b"ours", b"theirs"}
-    assert find_package(cache, "abc").read_bytes() in (b"ours", b"theirs")
+    (kept,) = cache.iterdir()
+    assert kept.read_bytes() == b"first"
+    keep(cache, "another")
+    kept.write_bytes(b"damaged")
+    assert keep(cache, "abc").read_bytes() == CONTENT
 
 
 def test_the_least_recently_used_packages_are_forgotten(cache, monkeypatch):
