@@ -43,7 +43,7 @@ def open_cache() -> Path:
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     if not _is_own(folder.stat()):
         raise CacheError(f"'{folder}' belongs to another user or can be written by others; remove it")
-    for parent in folder.resolve().parents:
+    for parent in (*folder.parents, *folder.resolve().parents):
         mode = parent.stat().st_mode
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             raise CacheError(f"'{folder}' can be replaced by others, who can write to '{parent}'; chmod o-w '{parent}'")

@@ -114,6 +114,15 @@ def test_a_folder_that_others_can_replace_is_refused(cache):
     assert open_cache() == cache
 
 
+def test_a_link_that_others_can_replace_is_refused(cache, tmp_path, monkeypatch):
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o777)
+    (tmp_path / "shared" / "link").symlink_to(cache.parent)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "shared" / "link"))
+    with pytest.raises(CacheError, match=r"can write to '.*shared'"):
+        open_cache()
+
+
 def test_a_folder_of_another_user_is_refused(cache, monkeypatch):
     monkeypatch.setattr(os, "getuid", lambda: cache.stat().st_uid + 1)
     with pytest.raises(CacheError, match="belongs to another user"):
