@@ -201,13 +201,22 @@ def test_metrics_of_another_shape_are_named(tmp_path, capsys, table):
     assert "metrics.csv is damaged" in named_damaged(capsys, run)
 
 
-@pytest.mark.parametrize("text", ["hydra: &a [*a]", "[" * 100 + "]" * 100, "&a {hydra: *a, overrides: {task: *a}}"])
-@pytest.mark.parametrize("name", [str(CONFIG), str(OVERRIDES), str(HYDRA), SWEEP])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (str(CONFIG), "more: &a {b: *a}"),
+        (str(HYDRA), "hydra: {runtime: {choices: {loss: &a [*a]}}}"),
+        (str(HYDRA), "[" * 100 + "]" * 100),
+        (str(OVERRIDES), "&a [*a]"),
+        (SWEEP, "&a {hydra: *a, overrides: {task: *a}}"),
+    ],
+)
 def test_a_note_that_holds_itself_does_not_end_the_report(tmp_path, capsys, name, text):
     (make_run(tmp_path / "whole") / SUMMARY).write_text(RESULTS)
     run = make_run(tmp_path / "run")
     (run / SUMMARY).write_text(RESULTS)
-    (run / name).write_text(text)
+    before = (run / name).read_text() if (run / name).exists() else ""
+    (run / name).write_text(before + text)
     assert main(["report", str(tmp_path)]) == 0
     assert "whole" in capsys.readouterr().out
 
