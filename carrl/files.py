@@ -1,5 +1,6 @@
 """A way onto the disk that never leaves half a file, and a way from it that never takes in more than it should."""
 
+import errno
 import os
 import stat
 from collections.abc import Iterator
@@ -41,7 +42,8 @@ def remove_left_overs(*folders: Path) -> None:
     """Removes what killed processes left of files that they were writing in these folders, which may be missing."""
     for folder in folders:
         for partial in folder.glob(PARTIAL):
-            partial.unlink()
+            with suppress(OSError):  # a folder of this name, which is nobody's left-over
+                partial.unlink()
 
 
 def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = CarrlError, durably: bool = False) -> None:
@@ -53,20 +55,23 @@ def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = Carr
             os.fsync(file.fileno())
 
 
-def read_whole(path: Path, most: int, name: str, error: type[CarrlError] = CarrlError) -> bytes:
+def read_whole(
+    path: Path, most: int, name: str, error: type[CarrlError] = CarrlError, *, follow_links: bool = True
+) -> bytes:
     """All bytes of a regular file of at most `most`.
 
     Args:
-        path: of the file; a link to one will do.
+        path: of the file.
         most: how many bytes it may have.
         name: what the file is called in messages, such as "track 'oval.csv'".
         error: the kind of error to raise.
+        follow_links: whether a link to a file will do.
 
     Raises:
         CarrlError: it is missing, larger, a folder, a pipe or a device, or cannot be read.
     """
     try:
-        with open(path, "rb", opener=_open_without_waiting) as file:
+        with open(path, "rb", opener=_open_without_waiting if follow_links else open_itself) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # a pipe would block, a device might never end
                 raise error(f"{name}: this is not a regular file; name one")
             content = _read_at_most(file, most + 1)
@@ -91,3 +96,17 @@ def _read_at_most(file: BinaryIO, most: int) -> bytes:
 def _open_without_waiting(path: str, flags: int) -> int:
     """Opens a pipe, too, without waiting for someone to write to it."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def open_itself(path: str, flags: int) -> int:
+    """An opener for `open` that follows no link in the file's place, nor waits for the other end of a pipe.
+
+    Raises:
+        OSError: there is a link, or the file cannot be opened.
+    """
+    try:
+        return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    except OSError as failure:
+        if failure.errno == errno.ELOOP and os.path.islink(path):
+            raise OSError(errno.ELOOP, "it is a symbolic link", str(path)) from None
+        raise

@@ -17,6 +17,8 @@ import torch
 from carrl.cli.main import main
 from carrl.record.writer import LogWriter
 from carrl.run.files import CONFIG, METRICS, SUMMARY, checkpoint_path
+from carrl.run.report.choices import HYDRA, OVERRIDES
+from carrl.run.report.sweeps import SWEEP
 from tests.strangers import Payload, make_run, proves_harmful, refused
 
 SQUARE = "corners: [[0, 0], [60, 0], [60, 60], [0, 60]]\ncorner_radius: 10\nwidth: 8\n"
@@ -197,6 +199,34 @@ def test_metrics_of_another_shape_are_named(tmp_path, capsys, table):
     (run / SUMMARY).write_text(RESULTS)
     (run / METRICS).write_text(table)
     assert "metrics.csv is damaged" in named_damaged(capsys, run)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (str(CONFIG), "more: &a {b: *a}"),
+        (str(HYDRA), "hydra: {runtime: {choices: {loss: &a [*a]}}}"),
+        (str(HYDRA), "[" * 100 + "]" * 100),
+        (str(OVERRIDES), "&a [*a]"),
+        (SWEEP, "&a {hydra: *a, overrides: {task: *a}}"),
+    ],
+)
+def test_a_note_that_holds_itself_does_not_end_the_report(tmp_path, capsys, name, text):
+    (make_run(tmp_path / "whole") / SUMMARY).write_text(RESULTS)
+    run = make_run(tmp_path / "run")
+    (run / SUMMARY).write_text(RESULTS)
+    before = (run / name).read_text() if (run / name).exists() else ""
+    (run / name).write_text(before + text)
+    assert main(["report", str(tmp_path)]) == 0
+    assert "whole" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seeds", ["range(0,4000000000)", "shuffle(range(0,4000000000))"])
+def test_a_sweep_of_billions_of_jobs_is_not_counted_out(tmp_path, capsys, seeds):
+    (make_run(tmp_path / "run") / SUMMARY).write_text(RESULTS)
+    (tmp_path / SWEEP).write_text(f"hydra: {{overrides: {{task: ['seed={seeds}', 'threads=1,2']}}}}")
+    assert main(["report", str(tmp_path)]) == 0
+    assert "more than 65536 jobs" in capsys.readouterr().out
 
 
 def test_a_run_without_an_evaluation_is_a_row_with_dashes(tmp_path, capsys):

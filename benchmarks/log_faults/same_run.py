@@ -17,8 +17,8 @@ from carrl.run.files import EVALUATIONS, LOG, METRICS, SUMMARY
 from carrl.run.state_file import STATE
 
 _WALL_TIME = {"wall_time_s", "first_update_s", "start_up_s"}
-_OF_THE_LOG = "log"
-"""The part of a state that says how far the log is: its metrics tell of wall time, and so its size and checksum do."""
+_OF_WALL_TIME = {"log", "tables"}
+"""Parts of a state: how far the log is, whose size tells of wall time as its metrics do, and the tables' text."""
 
 _OF_HYDRA = {"hydra.yaml", "overrides.yaml"}
 """What Hydra writes of itself before CarRL begins, and nobody reads; a kill may come before it."""
@@ -101,7 +101,7 @@ def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     """The values in a nested state in a form that is equal only if every bit is, by path."""
     if isinstance(value, Mapping):
         for key, item in value.items():
-            if key not in _WALL_TIME | {_OF_THE_LOG}:
+            if key not in _WALL_TIME | _OF_WALL_TIME:
                 yield from _flat(item, f"{path}.{key}" if path else str(key))
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):

@@ -14,6 +14,8 @@ from carrl.cli.plain import plain
 from carrl.cli.sweep_hooks import Beginning
 from carrl.cli.training import train
 from carrl.errors import CarrlError
+from carrl.run.build import build_world, logs_of
+from carrl.run.inputs import check_inputs, checksums
 from carrl.run.resumption import resumed_state
 from carrl.run.sweep import JobNote, JobState, SweepFolder, read_summaries
 from carrl.run.training import Training
@@ -55,6 +57,7 @@ def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> 
     state = resumed_state(path, config)
     summaries = read_summaries(path)
     if state and state["config"] == config and summaries and all(summary["finished"] for summary in summaries):
+        check_inputs(path, state["inputs"], checksums(build_world(config).circuits, logs_of(config)))
         return "finished before"
     train(config, path, state, _Obedient(folder))
     return "finished"

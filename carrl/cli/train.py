@@ -18,6 +18,7 @@ from carrl.cli.plain import plain
 from carrl.cli.sweep import FLAGS, sweep
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
+from carrl.printable import printable
 
 RESUME = "resume="
 HYDRAS_OWN = {".hydra", ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml"}
@@ -27,6 +28,8 @@ HYDRAS_OWN = {".hydra", ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overr
 def main(argv: list[str]) -> int:
     """Runs Hydra on the overrides, for one run or, with -m, for many; with `resume=RUN` it goes on with that run."""
     resumed = [argument.removeprefix(RESUME) for argument in argv if argument.startswith(RESUME)]
+    if len(resumed) > 1:
+        raise ConfigError(f"{RESUME} is given {len(resumed)} times; one run is resumed at a time")
     if resumed and resumed[-1] not in ("", "null"):
         return _resume(Path(resumed[-1]), [argument for argument in argv if not argument.startswith(RESUME)])
     arguments = [override for argument in argv for override in name_files(argument)]
@@ -73,10 +76,12 @@ def _resume(run: Path, arguments: list[str]) -> int:
     if flags:
         raise ConfigError(f"{flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
     from carrl.cli.training import train
-    from carrl.run.resumption import resumed_config, resumed_state
+    from carrl.run.resumption import resume
 
-    config = resumed_config(run, arguments)
-    train(config, run, resumed_state(run, config))
+    resumption = resume(run, arguments)
+    for remark in resumption.remarks:
+        print(printable(remark))
+    train(resumption.config, run, resumption.state)
     return 0
 
 

@@ -18,7 +18,8 @@ from carrl.record.writer import LogWriter
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning, Pipeline, World, build_offline_pipeline, build_pipeline, learns_from_logs
 from carrl.run.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
-from carrl.run.folder import RunFolder
+from carrl.run.folder import RunFolder, check_tables
+from carrl.run.inputs import Inputs, check_inputs, checksums
 from carrl.run.offline_folder import OfflineRunFolder
 from carrl.run.offline_trainer import OfflineTrainer
 from carrl.run.provenance import describe_run
@@ -97,13 +98,17 @@ def _print(summaries: list[dict[str, Any]], session: Session, path: Path) -> Non
 def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
     """A training run in the simulator, its folders opened."""
     pipeline = build_pipeline(config)
+    inputs = checksums(pipeline.world.circuits)
+    _check_is_as_left(path, config, pipeline, inputs, state)
     _write_config(path, config)
     plan, folders = pipeline.plan, []
-    state_file = StateFile(path, config, plan.checkpoint_interval)
+    state_file = StateFile(path, config, plan.checkpoint_interval, inputs)
     for index, agent in enumerate(pipeline.agents):
         own_path, own_config = _folder_of(path, config, agent.seed)
         own_state, scalars = state["folders"][index] if state else None, _open_scalars(own_path, own_config)
         log = _open_log(own_path, own_config, pipeline, agent.seed, own_state, state_file)
+        if log is not None:
+            stack.enter_context(log)  # which completes it where the folder is refused
         folders.append(stack.enter_context(RunFolder(own_path, log, own_state, scalars)))
     trainer = Trainer(pipeline, folders, state_file)
     return Session(pipeline, trainer, TrainingDisplay(plan.frames, plan.episodes))
@@ -112,16 +117,34 @@ def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack:
 def _prepare_offline(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
     """A training run on logs, its folders opened."""
     pipeline = build_offline_pipeline(config)
+    inputs = checksums(pipeline.world.circuits, pipeline.offline_plan.paths)
+    _check_is_as_left(path, config, pipeline, inputs, state)
     _write_config(path, config)
+    state_file = StateFile(path, config, pipeline.plan.checkpoint_interval, inputs)
     folders = []
     for index, agent in enumerate(pipeline.agents):
         own_path, own_config = _folder_of(path, config, agent.seed)
         own_state, scalars = state["folders"][index] if state else None, _open_scalars(own_path, own_config)
         folders.append(stack.enter_context(OfflineRunFolder(own_path, state=own_state, scalars=scalars)))
-    trainer = OfflineTrainer(pipeline, folders, StateFile(path, config, pipeline.plan.checkpoint_interval))
+    trainer = OfflineTrainer(pipeline, folders, state_file)
     transitions = len(pipeline.replay_buffer)
     display = OfflineDisplay(pipeline.offline_plan.updates, transitions)
     return Session(pipeline, trainer, display, {"transitions": transitions})
+
+
+def _check_is_as_left(
+    path: Path, config: Config, learning: Learning, inputs: Inputs, state: Mapping[str, Any] | None
+) -> None:
+    """Refuses, before anything is written, what is not as the state's run had it."""
+    if state is None:
+        return
+    check_inputs(path, state["inputs"], inputs)
+    for index, agent in enumerate(learning.agents):
+        check_tables(_path_of(path, config, agent.seed), state["folders"][index])
+
+
+def _path_of(path: Path, config: Config, seed: int) -> Path:
+    return path if config["trainer"].get("seeds") is None else path / f"seed={seed}"
 
 
 def _folder_of(path: Path, config: Config, seed: int) -> tuple[Path, Config]:
@@ -130,7 +153,8 @@ def _folder_of(path: Path, config: Config, seed: int) -> tuple[Path, Config]:
     That is the run's own folder, or one below it where there are several agents.
     """
     if config["trainer"].get("seeds") is not None:
-        path, config = path / f"seed={seed}", {**config, "seed": seed, "trainer": {**config["trainer"], "seeds": None}}
+        path = _path_of(path, config, seed)
+        config = {**config, "seed": seed, "trainer": {**config["trainer"], "seeds": None}}
         _write_config(path, config)
     return path, config
 

@@ -31,6 +31,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from carrl.files import open_itself
 from carrl.record.mcap_summary import Summary, read_back, serialise
 
 LIBRARY = "carrl"
@@ -55,7 +56,7 @@ class McapFile:
     """Appends to a file. After a failed append it is as before, and may be finished. Nothing is buffered here.
 
     Args:
-        path: of a new file, an existing one being replaced.
+        path: of a new file, an existing one being replaced; a link in its place is not followed.
         position: where to go on with the existing file instead, which is cut off there.
 
     Raises:
@@ -65,7 +66,8 @@ class McapFile:
 
     def __init__(self, path: Path, position: Position | None = None) -> None:
         """Begins the file, or goes on with it."""
-        self._file = open(path, "w+b" if position is None else "r+b", buffering=0)  # noqa: SIM115 (closed in close)
+        mode = "w+b" if position is None else "r+b"
+        self._file = open(path, mode, buffering=0, opener=open_itself)  # noqa: SIM115 (closed in close)
         self._summary = Summary()
         self._compressor = zstandard.ZstdCompressor(level=3)
         self._crc = self.size = 0

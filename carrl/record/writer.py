@@ -5,6 +5,7 @@ Shape letters: `T` transitions in a batch.
 
 import contextlib
 import logging
+import os
 import secrets
 import time
 from collections import Counter
@@ -248,7 +249,7 @@ class LogWriter:
     def _leave_alone(self, path: Path, error: Exception) -> None:
         """Goes on in the first file that is not there yet."""
         reason = getattr(error, "strerror", None) or error
-        while self.path.exists() or self.path == path:
+        while os.path.lexists(self.path) or self.path == path:
             self._part += 1
         _logger.warning("Log '%s' cannot be gone on with: %s. It goes on in '%s'.", path, reason, self.path)
         self._begin_file()
@@ -256,7 +257,7 @@ class LogWriter:
     def _later_parts(self) -> Iterator[Path]:
         """Files in which the log went on after the state; they come anew."""
         part = self._part + 1
-        while (path := part_path(self._first_path, part)).exists():
+        while os.path.lexists(path := part_path(self._first_path, part)):
             yield path
             part += 1
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,6 +165,14 @@ def _build_workers_policy(config: Config, action_spec: TensorSpec, seed: int) ->
 def learns_from_logs(config: Config) -> bool:
     """Whether a run's transitions come from logs instead of the simulator."""
     return bool(config.get("data"))
+
+
+def logs_of(config: Config) -> list[Path]:
+    """The logs that a run learns from; none in the simulator."""
+    if not learns_from_logs(config):
+        return []
+    plan: OfflinePlan = build_node("data", config["data"])
+    return plan.paths
 
 
 def build_offline_pipeline(config: Config) -> OfflinePipeline:

@@ -51,14 +51,27 @@ def load_config(run: Path) -> dict[str, Any]:
     """
     if not os.path.isdir(run):  # Path.is_dir raises on a name that is too long or may not be looked up
         raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
-    try:
-        config = parse_yaml(_read_bytes(run / CONFIG, MAX_CONFIG_BYTES))
-    except ValueError as error:
-        raise CheckpointError(f"run '{run}': {CONFIG}: {error}") from error
+    config = _parsed(run / CONFIG, f"run '{run}': {CONFIG}")
     missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
     if missing:
         raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
     return config
+
+
+def read_yaml(path: Path) -> Any:
+    """What a run's YAML file holds, as plain values, bounded in size with every alias written out.
+
+    Raises:
+        CheckpointError: the file is missing, too large, no regular file or no such YAML.
+    """
+    return _parsed(path, f"'{path}'")
+
+
+def _parsed(path: Path, name: str) -> Any:
+    try:
+        return parse_yaml(_read_bytes(path, MAX_CONFIG_BYTES))
+    except ValueError as error:
+        raise CheckpointError(f"{name}: {error}") from error
 
 
 def read_text(path: Path) -> str:

@@ -21,11 +21,24 @@ from carrl.run.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, checkpoint_pa
 from carrl.run.moment import Moment
 from carrl.run.scalars import Scalars
 from carrl.run.settings import put_back, read_settings
-from carrl.run.table import Table
+from carrl.run.table import Table, check_table
 from carrl.run.trial import Trial
 
 EPISODE_FIGURES = ("episode", "frame", "env", "episode_return", "length", "gates", "laps", "ended")
 """What `metrics.csv` tells of an episode."""
+
+
+def check_tables(path: Path, state: Mapping[str, Any]) -> None:
+    """Checks that the tables in a run's folder say what they said at this state, before anything is written.
+
+    Raises:
+        CarrlError: one says otherwise, or cannot be read.
+    """
+    for name in (METRICS, EVALUATIONS):
+        try:
+            check_table(path / name, state["tables"][name])
+        except OSError as error:
+            raise CheckpointError(f"'{path / name}' cannot be read: {error.strerror}; move it away") from error
 
 
 class RunFolder:
@@ -53,8 +66,9 @@ class RunFolder:
         self._recorder, self._scalars = recorder, scalars
         self._settings = read_settings(path)
         remove_left_overs(path, path / "checkpoints", (path / CONFIG).parent)
-        self._metrics = Table(path / METRICS, state["metrics"] if state else 0)
-        self._evaluations = Table(path / EVALUATIONS, state["evaluations"] if state else 0)
+        tables = state["tables"] if state else {METRICS: "", EVALUATIONS: ""}
+        self._metrics = Table(path / METRICS, tables[METRICS])
+        self._evaluations = Table(path / EVALUATIONS, tables[EVALUATIONS])
 
     def __enter__(self) -> Self:
         """Returns the folder itself."""
@@ -72,15 +86,14 @@ class RunFolder:
             self._recorder.close()
 
     def state_dict(self) -> dict[str, Any]:
-        """How far the log and the tables are written.
+        """How far the log is written, and what the tables say.
 
         Raises:
             LogError: the disk fails.
         """
         return {
             "log": self._recorder.state_dict() if self._recorder else None,
-            "metrics": self._metrics.rows,
-            "evaluations": self._evaluations.rows,
+            "tables": {METRICS: self._metrics.text, EVALUATIONS: self._evaluations.text},
         }
 
     @property

@@ -29,6 +29,8 @@ from carrl.run.divergence import Divergence
 from carrl.run.native import CompilationError
 from carrl.run.native_update import NativeUpdate
 
+COMPILED, EAGER = "compiled", "eager"
+"""The kinds of update. Their numbers differ by rounding: by 1e-7 after some hundred updates, and by more and more."""
 _logger = logging.getLogger(__name__)
 
 
@@ -68,6 +70,7 @@ class Learner:
         self._frames_per_update = frames_per_update
         self._frames_waiting = 0
         self._native: NativeUpdate | None = None
+        self._kind: str | None = None if compiled else EAGER  # not known before it was tried
         self._rates = [[group["lr"] for group in agent.optimizer.param_groups] for agent in agents]
         self.updates = 0
         self.first_update_at: float | None = None
@@ -79,6 +82,7 @@ class Learner:
         """All that an update changes, but the buffer."""
         return {
             "updates": self.updates,
+            "kind": self._kind,
             "frames_waiting": self._frames_waiting,
             "losses": self.losses,
             "sampler": self._buffer.sampler.state_dict(),
@@ -99,6 +103,7 @@ class Learner:
         Networks keep their memory, whose views others hold. Call it before the first update.
         """
         self.updates, self.losses = state["updates"], state["losses"].clone()
+        self._kind = state["kind"]
         self._frames_waiting = state["frames_waiting"]
         self._buffer.sampler.load_state_dict(state["sampler"])
         for agent, rates, own in zip(self._agents, self._rates, state["agents"], strict=True):
@@ -213,3 +218,15 @@ class Learner:
             self._is_compiling = False
         if self._is_interrupted:  # torchrl 0.14 makes an error of its own of a KeyboardInterrupt that is raised in it
             raise KeyboardInterrupt
+        self._note_kind(EAGER if self._native is None else COMPILED)
+
+    def _note_kind(self, kind: str) -> None:
+        """Says where updates go on in another way than before, whose numbers differ in their last digits."""
+        if self._kind not in (None, kind):
+            _logger.warning(
+                "The updates so far were %s, those from here on are %s: the run will not be, bit for bit, the one "
+                "never stopped.",
+                self._kind,
+                kind,
+            )
+        self._kind = kind

@@ -8,12 +8,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from carrl.errors import CheckpointError
+from carrl.errors import CheckpointError, shown
 from carrl.files import remove_left_overs
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.files import CONFIG
+from carrl.run.inputs import Inputs
 from carrl.run.settings import put_back, read_settings
 
+STATE_VERSION = 2
+"""Of what a state holds; 1 had no checksums of tracks and logs, no tables and no word on how updates were made."""
 STATE = Path("checkpoints/state.pt")
 PREVIOUS = Path("checkpoints/state-previous.pt")
 _NEW = Path("checkpoints/.state.partial")  # a left-over if the process is killed before it takes its place
@@ -27,11 +30,12 @@ class StateFile:
         run: the run's folder; that of all agents together, where several train side by side.
         config: resolved, kept with every state, so that one is never taken for another run's.
         interval: between two states, s of wall time.
+        inputs: checksums of what the run learns from, kept with every state, too.
     """
 
-    def __init__(self, run: Path, config: Mapping[str, Any], interval: float) -> None:
+    def __init__(self, run: Path, config: Mapping[str, Any], interval: float, inputs: Inputs | None = None) -> None:
         self.run = run
-        self._config = config
+        self._kept = {"state_version": STATE_VERSION, "config": config, "inputs": dict(inputs or {})}
         self._interval = interval
         self._settings = read_settings(run)
         self._saved_at = time.monotonic()
@@ -48,7 +52,7 @@ class StateFile:
         Raises:
             CheckpointError: the disk refuses it.
         """
-        save_checkpoint(self.run / _NEW, {"config": self._config, **state}, durably=True)
+        save_checkpoint(self.run / _NEW, {**self._kept, **state}, durably=True)
         try:
             with suppress(FileNotFoundError):
                 os.replace(self.run / STATE, self.run / PREVIOUS)
@@ -77,8 +81,19 @@ def load_state(run: Path) -> dict[str, Any]:
     """The latest state of a run, or the one before where that is missing or damaged.
 
     Raises:
-        CheckpointError: there is none that is intact.
+        CheckpointError: there is none that is intact, or it is of another version.
     """
+    state = _intact_state(run)
+    version = state.get("state_version", 1)
+    if version != STATE_VERSION:
+        raise CheckpointError(
+            f"run '{run}': its state has the version {shown(version)}, this CarRL goes on from {STATE_VERSION}; "
+            "go on with the version of CarRL that wrote it, or train anew"
+        )
+    return state
+
+
+def _intact_state(run: Path) -> dict[str, Any]:
     found = [run / name for name in (STATE, PREVIOUS) if (run / name).exists()]
     if not found:
         raise CheckpointError(f"run '{run}' has no {STATE}, so it cannot be resumed; train anew")

@@ -1,6 +1,7 @@
 """What is missing, broken or there twice is named with its reason, and the rest is reported."""
 
 import json
+import re
 
 import pytest
 import yaml
@@ -96,10 +97,8 @@ def test_a_damaged_configuration_is_named(tmp_path):
     write_run(tmp_path / "a", 0)
     (tmp_path / "a" / ".hydra" / "config.yaml").write_text("seed: [")
     write_run(tmp_path / "b", 1)
-    assert problems_below(tmp_path) == [
-        "damaged: a: .hydra/config.yaml: line 1: this is not YAML: expected the node content, but found '<stream end>'"
-        "; not counted"
-    ]
+    (problem,) = problems_below(tmp_path)  # PyYAML's two parsers have words of their own
+    assert re.fullmatch(r"damaged: a: .hydra/config.yaml: line [12]: this is not YAML: .*; not counted", problem)
 
 
 def test_the_same_configuration_and_seed_twice_counts_once(tmp_path):

@@ -199,7 +199,7 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         ("a: b: c", "line 1: this is not YAML"),
         (b"\xff\xfe\x00\x01", "not a YAML text file"),
         (bytes(range(256)), "not a YAML text file"),
-        ("[" * 5000, "not a YAML text file"),
+        ("[" * 5000, "not (YAML|a YAML text file)"),
         ("!!python/object/apply:os.system ['true']", "line 1: this is not YAML: could not determine a constructor"),
         ("when: 2024-99-99", "not a YAML text file"),
         (SIZES, "it has neither; it must have one of corners and points"),
@@ -250,7 +250,7 @@ def test_a_small_file_that_stands_for_a_huge_list_is_refused_at_once(load):
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
     for content in ("corners: [*a11, *a11, *a11]\n", "corners: *a11\n"):
-        with pytest.raises(TrackError, match=r"^track 'bomb\.yaml': unknown key a0, a1"):
+        with pytest.raises(TrackError, match=r"^track 'bomb\.yaml': line \d+: its aliases stand for more"):
             load("bomb.yaml", "\n".join([*lines, content]) + SIZES)
     nested = "corners: [&a [&b [1, 1, 1, 1, 1, 1], *b, *b, *b, *b, *b], *a, *a]\n"
     with pytest.raises(TrackError, match=re.escape("corners: row 1 is [[1, 1")):

@@ -6,16 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from carrl.errors import CarrlError
-from carrl.run.files import read_text
+from carrl.run.files import read_yaml
 from carrl.run.report.reading import RunResult
 
 OVERRIDES, HYDRA = Path(".hydra/overrides.yaml"), Path(".hydra/hydra.yaml")
 WITHIN_GROUP = ("seed", "trainer.seeds", "resume")
 """What may differ within a group."""
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster where PyYAML has it
 
 
 @dataclass(frozen=True)
@@ -83,8 +80,8 @@ def _first(run: RunResult, path: Path) -> Any:
 
 def _read(path: Path) -> Any:
     try:
-        return yaml.load(read_text(path), Loader=_Loader) if path.exists() else None
-    except (CarrlError, yaml.YAMLError):
+        return read_yaml(path) if path.exists() else None
+    except CarrlError:
         return None
 
 

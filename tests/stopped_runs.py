@@ -1,0 +1,107 @@
+"""Tiny runs that are stopped and gone on with, and how to compare two."""
+
+import csv
+import json
+from contextlib import contextmanager
+
+import torch
+
+from carrl.cli.main import main
+from carrl.log import load, read_episodes, verify
+from carrl.run.checkpoint import load_checkpoint
+from carrl.view.console import TrainingDisplay
+
+FRAMES = 640
+TINY = [
+    "track=oval",
+    "env.num_envs=8",
+    "env.random_start=true",
+    "env.max_steps=40",
+    "loss=double_dqn",
+    f"trainer.frames={FRAMES}",
+    "evaluation.interval=160",
+    "target_updater.period=100",
+    "replay_buffer.capacity=512",
+    "replay_buffer.batch_size=64",
+]
+EAGER = [*TINY, "compile=false"]
+MOMENTS = {
+    "before the first step": 0,
+    "before the first update": 56,
+    "between two copies of the network": 152,
+    "after an evaluation": 320,
+    "when the buffer is full": 600,
+}
+
+
+def stop_at(monkeypatch, frames):
+    """Lets every run of this process be interrupted after so many env steps, or before the first."""
+
+    def interrupt(display, trainer):
+        if trainer.frames >= frames:
+            trainer.stop()
+
+    monkeypatch.setattr(TrainingDisplay, "__call__", interrupt)
+    if frames == 0:
+        monkeypatch.setattr("carrl.cli.training.stopping_on_signals", stopping_at_once)
+
+
+@contextmanager
+def stopping_at_once(trainer):
+    """As if a signal had come before the first step."""
+    trainer.stop()
+    yield
+
+
+def train(folder, *overrides):
+    assert main(["train", *overrides, f"hydra.run.dir={folder}"]) == 0
+    return folder
+
+
+def interrupted(monkeypatch, folder, frames, *overrides):
+    """A run that ended after so many env steps."""
+    with monkeypatch.context() as patches:
+        stop_at(patches, frames)
+        assert main(["train", *overrides, f"hydra.run.dir={folder}"]) == 130
+    assert not json.loads(next(folder.rglob("summary.json")).read_text())["finished"]
+    return folder
+
+
+def rows(path):
+    """A table without what tells of wall time."""
+    with path.open() as file:
+        return [{key: value for key, value in row.items() if key != "wall_time_s"} for row in csv.DictReader(file)]
+
+
+def assert_same_state(ours, theirs):
+    """Whether two nested states are the same, bit for bit, but for wall time and what logs say of themselves."""
+    if isinstance(theirs, torch.Tensor):
+        assert torch.equal(ours, theirs)
+    elif isinstance(theirs, dict):
+        assert ours.keys() == theirs.keys()
+        for key in theirs.keys() - {"wall_time_s", "first_update_s", "log", "tables", "config"}:
+            assert_same_state(ours[key], theirs[key])
+    elif isinstance(theirs, list | tuple):
+        assert len(ours) == len(theirs)
+        for pair in zip(ours, theirs, strict=True):
+            assert_same_state(*pair)
+    else:
+        assert ours == theirs or (ours != ours and theirs != theirs)
+
+
+def assert_same_run(ours, theirs):
+    """Whether two runs' folders tell of the same training."""
+    summaries = [json.loads((folder / "summary.json").read_text()) for folder in (ours, theirs)]
+    for name in ("finished", "episodes", "frames", "updates", "evaluation", "last_evaluation"):
+        assert summaries[0][name] == summaries[1][name]
+    for name in ("best.pt", "last.pt"):
+        assert (ours / "checkpoints" / name).read_bytes() == (theirs / "checkpoints" / name).read_bytes()
+    for name in ("metrics.csv", "evaluations.csv"):
+        assert rows(ours / name) == rows(theirs / name)
+    assert (load(ours / "train.mcap") == load(theirs / "train.mcap")).all()
+    assert list(read_episodes(ours / "train.mcap")) == list(read_episodes(theirs / "train.mcap"))
+    verify(ours / "train.mcap")
+
+
+def state_of(folder):
+    return load_checkpoint(folder / "checkpoints" / "state.pt")
