@@ -11,9 +11,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from carrl.cli.plain import plain
+from carrl.cli.records import write_records
 from carrl.cli.sweep_hooks import Beginning
 from carrl.cli.training import train
 from carrl.errors import CarrlError
+from carrl.run.lock import locked
 from carrl.run.resumption import resumed_state
 from carrl.run.sweep import JobNote, JobState, SweepFolder, read_summaries
 from carrl.run.training import Training
@@ -52,11 +54,13 @@ def train_job(config: DictConfig) -> None:
 
 
 def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> JobState:
-    state = resumed_state(path, config)
-    summaries = read_summaries(path)
-    if state and state["config"] == config and summaries and all(summary["finished"] for summary in summaries):
-        return "finished before"
-    train(config, path, state, _Obedient(folder))
+    with locked(path):
+        state = resumed_state(path, config)
+        summaries = read_summaries(path)
+        if state and state["config"] == config and summaries and all(summary["finished"] for summary in summaries):
+            return "finished before"
+        write_records(path)
+        train(config, path, state, _Obedient(folder))
     return "finished"
 
 

@@ -54,6 +54,7 @@ def resumed_state(run: Path, config: Mapping[str, Any]) -> dict[str, Any] | None
         CheckpointError: it is damaged, or was made with another configuration.
     """
     if not (run / STATE).exists() and not (run / PREVIOUS).exists():
+        _check_is_whole_run(run)
         return None
     state = load_state(run)
     before, now = (_fixed(each) for each in (state.get("config"), config))
