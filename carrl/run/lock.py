@@ -22,13 +22,17 @@ _logger = logging.getLogger(__name__)
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, waiting: bool = False) -> Iterator[None]:
     """Keeps other processes out of a folder, which is made if there is none.
+
+    Args:
+        folder: a run's, a sweep's or a study's.
+        waiting: until another process that is at work there has ended its work, instead of raising an error.
 
     Raises:
         CarrlError: another process is at work there, or the folder cannot be written.
     """
-    descriptor = _locked_file(folder)
+    descriptor = _locked_file(folder, fcntl.LOCK_EX | (0 if waiting else fcntl.LOCK_NB))
     try:
         yield
     finally:
@@ -38,7 +42,7 @@ def locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _locked_file(folder: Path) -> int:
+def _locked_file(folder: Path, operation: int) -> int:
     """The descriptor of the folder's lock file, with the lock on it."""
     path = folder / LOCK
     while True:
@@ -47,10 +51,12 @@ def _locked_file(folder: Path) -> int:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
         except FileNotFoundError:  # the folder was removed between the two
             continue
+        except FileExistsError:
+            raise CarrlError(f"'{folder}' is not a folder; name one, or a place for a new one") from None
         except OSError as error:
-            raise CarrlError(f"the run's folder '{folder}' cannot be written: {LOCK}: {error.strerror}") from error
+            raise CarrlError(f"the folder '{folder}' cannot be written: {LOCK}: {error.strerror}") from error
         try:
-            _lock(folder, descriptor)
+            _lock(folder, descriptor, operation)
             if _is_at(path, descriptor):  # else its holder has removed it meanwhile
                 return descriptor
         except BaseException:
@@ -59,11 +65,11 @@ def _locked_file(folder: Path) -> int:
         os.close(descriptor)
 
 
-def _lock(folder: Path, descriptor: int) -> None:
+def _lock(folder: Path, descriptor: int, operation: int) -> None:
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        raise CarrlError(f"the run's folder '{folder}' cannot be written: {LOCK} is not a regular file; remove it")
+        raise CarrlError(f"the folder '{folder}' cannot be written: {LOCK} is not a regular file; remove it")
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, operation)
     except BlockingIOError:
         raise CarrlError(
             f"'{folder}' is in use by {_holder(descriptor)}; wait until it has ended, or choose another folder"

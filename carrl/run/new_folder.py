@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from carrl.errors import CarrlError
+from carrl.errors import CarrlError, ConfigError
 from carrl.run.files import CONFIG, EVALUATIONS, LAP, LEARNING_CURVE, LOG, METRICS, SUMMARY
 
 _NAMES = (SUMMARY, LOG, "checkpoints/state.pt", METRICS, EVALUATIONS, str(CONFIG), LEARNING_CURVE, LAP)
@@ -38,14 +38,14 @@ def check_holds_no_run(folder: Path) -> None:
     """Lets no run begin where another one has left anything, or one of its seeds has.
 
     Raises:
-        CarrlError: something is there, were it a dangling link by the name of a run's file.
+        ConfigError: something is there, were it a dangling link by the name of a run's file.
     """
     found = next((left for place in (folder, *sorted(folder.glob("seed=*"))) for left in _left_in(place)), None)
     if found is None:
         return
     go_on = f"go on with it: carrl train resume={folder}, or " if os.path.lexists(folder / CONFIG) else ""
     name = found.relative_to(folder)
-    raise CarrlError(f"'{folder}' has a run already, whose {name} would be overwritten; {go_on}choose another folder")
+    raise ConfigError(f"'{folder}' has a run already, whose {name} would be overwritten; {go_on}choose another folder")
 
 
 def _left_in(folder: Path) -> Iterator[Path]:

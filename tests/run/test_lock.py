@@ -4,6 +4,7 @@ import errno
 import fcntl
 import multiprocessing
 import os
+import threading
 import time
 
 import pytest
@@ -108,6 +109,19 @@ def test_a_lock_that_is_no_file_is_refused_and_not_followed(kind, tmp_path):
     with pytest.raises(CarrlError, match=f"'{tmp_path}' cannot be written: {LOCK}"), locked(tmp_path):
         pass
     assert os.listdir(tmp_path) == [LOCK]
+
+
+def test_a_file_cannot_be_locked_as_a_folder(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(CarrlError, match="is not a folder; name one"), locked(tmp_path / "file"):
+        pass
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_who_waits_for_a_lock_gets_it_when_its_holder_ends(holder, tmp_path):
+    threading.Timer(0.2, holder.kill).start()
+    with locked(tmp_path, waiting=True):
+        assert (tmp_path / LOCK).read_text().split()[0] == str(os.getpid())
 
 
 def test_what_a_lock_file_says_cannot_play_tricks_on_the_terminal(tmp_path):
