@@ -21,6 +21,18 @@ def heeded() -> list[signal.Signals]:
     return [each for each in signals if signal.getsignal(each) is not signal.SIG_IGN]
 
 
+def let_go_of_closed_terminal() -> None:
+    """Lets what would be printed on a terminal that is gone vanish, so that it does not end what is to be saved."""
+    for descriptor in (1, 2):
+        try:
+            os.write(descriptor, b"")
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, descriptor)
+            if nowhere != descriptor:
+                os.close(nowhere)
+
+
 @contextmanager
 def stopping_on_signals(trainer: "Training") -> Iterator[None]:
     """Lets the first signal end the run with everything saved, and the second end the process at once.
@@ -29,8 +41,10 @@ def stopping_on_signals(trainer: "Training") -> Iterator[None]:
     """
 
     def stop(number: int, _frame: object) -> None:
-        if trainer.stopping and number == signal.SIGHUP:
-            return
+        if number == signal.SIGHUP:
+            let_go_of_closed_terminal()
+            if trainer.stopping:
+                return
         if trainer.stopping:
             if sys.stderr.isatty():
                 sys.stderr.write(f"{_SHOW_CURSOR}\n")

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from carrl.cli.signals import INTERRUPTED, heeded
+from carrl.cli.signals import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.sweep_hooks import Beginning
 from carrl.errors import CarrlError
 from carrl.run.sweep import job_name
@@ -113,8 +113,10 @@ def _stopping_on_signals() -> Iterator[None]:
     def stop(number: int, _frame: object) -> None:
         if Beginning.folder is None:
             raise KeyboardInterrupt
-        if Beginning.folder.is_to_stop and number == signal.SIGHUP:
-            return
+        if number == signal.SIGHUP:
+            let_go_of_closed_terminal()
+            if Beginning.folder.is_to_stop:
+                return
         if Beginning.folder.is_to_stop:
             os._exit(INTERRUPTED)
         Beginning.folder.stop()

@@ -1,11 +1,13 @@
 """Which signals end training, and what a second one does."""
 
+import os
+import pty
 import signal
 
 import pytest
 
 from carrl.cli import signals
-from carrl.cli.signals import heeded, stopping_on_signals
+from carrl.cli.signals import heeded, let_go_of_closed_terminal, stopping_on_signals
 
 
 class Trainer:
@@ -54,3 +56,20 @@ def test_under_nohup_sighup_stays_ignored():
         assert signal.SIGHUP not in heeded()
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_closed_terminal_is_let_go_of_and_an_open_one_is_kept():
+    kept, (master, terminal) = os.dup(2), pty.openpty()
+    try:
+        os.dup2(terminal, 2)
+        let_go_of_closed_terminal()
+        assert os.isatty(2)
+        os.close(master)
+        with pytest.raises(OSError, match="Input/output error"):
+            os.write(2, b"progress")
+        let_go_of_closed_terminal()
+        assert os.write(2, b"progress") == len(b"progress")
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(terminal)
