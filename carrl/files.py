@@ -41,7 +41,8 @@ def remove_left_overs(*folders: Path) -> None:
     """Removes what killed processes left of files that they were writing in these folders, which may be missing."""
     for folder in folders:
         for partial in folder.glob(PARTIAL):
-            partial.unlink()
+            if partial.is_symlink() or not partial.is_dir():  # a folder is not what they left
+                partial.unlink()
 
 
 def write_whole(path: str | Path, content: bytes, error: type[CarrlError] = CarrlError, durably: bool = False) -> None:

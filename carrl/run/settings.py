@@ -2,15 +2,21 @@
 
 from pathlib import Path
 
-from carrl.errors import CarrlError
-from carrl.files import write_whole
+from carrl.errors import CarrlError, CheckpointError
+from carrl.files import read_whole, write_whole
+from carrl.run.files import MAX_CONFIG_BYTES
 
 Settings = dict[Path, bytes]
 
 
 def read_settings(run: Path) -> Settings:
-    """The files in `.hydra`, by path."""
-    return {file: file.read_bytes() for file in run.glob(".hydra/*.yaml")}
+    """The files in `.hydra`, by path.
+
+    Raises:
+        CheckpointError: one of them is a folder, a dangling link or no other regular file, or too large.
+    """
+    files = run.glob(".hydra/*.yaml")
+    return {file: read_whole(file, MAX_CONFIG_BYTES, f"'{file}'", CheckpointError) for file in files}
 
 
 def put_back(settings: Settings) -> None:

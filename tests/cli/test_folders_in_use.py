@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from datetime import datetime
 
 import hydra.core.utils
@@ -112,6 +113,26 @@ def test_a_folder_or_a_dangling_link_by_the_name_of_a_runs_file_is_one_sentence(
         assert f"{name} would be overwritten" in capsys.readouterr().err
         assert os.listdir(tmp_path / "run") == [name]
         assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize("kind", ["folder", "dangling link"])
+@pytest.mark.parametrize("name", ["hydra.yaml", "mine.yaml"])
+def test_a_folder_or_a_dangling_link_among_a_resumed_runs_settings_is_one_sentence(name, kind, run, tmp_path, capsys):
+    path = shutil.copytree(run, tmp_path / "run") / ".hydra" / name
+    path.unlink(missing_ok=True)
+    path.mkdir() if kind == "folder" else path.symlink_to(tmp_path / "nowhere")
+    assert main(["train", f"resume={tmp_path / 'run'}", "trainer.frames=32"]) == 2
+    assert f"'{path}'" in capsys.readouterr().err
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_folder_by_the_name_of_a_left_over_stays(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    mine = [folder / "checkpoints" / ".mine.partial", folder / ".mine.partial"]
+    for each in mine:
+        each.mkdir()
+    assert main(["train", f"resume={folder}", "trainer.frames=32"]) == 0
+    assert all(each.is_dir() for each in mine)
 
 
 def test_several_seeds_do_not_replace_those_of_another_run(swept, capsys):
