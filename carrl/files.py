@@ -42,7 +42,7 @@ def remove_left_overs(*folders: Path) -> None:
     """Removes what killed processes left of files that they were writing in these folders, which may be missing."""
     for folder in folders:
         for partial in folder.glob(PARTIAL):
-            with suppress(OSError):  # a folder of this name, which is nobody's left-over
+            if partial.is_symlink() or not partial.is_dir():  # a folder is not what they left
                 partial.unlink()
 
 

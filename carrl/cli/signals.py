@@ -1,4 +1,4 @@
-"""What SIGINT and SIGTERM do to a training run."""
+"""What SIGINT, SIGTERM and SIGHUP do to a training run."""
 
 import os
 import signal
@@ -15,14 +15,36 @@ INTERRUPTED = 130
 """The exit code of an interrupted run."""
 
 
+def heeded() -> list[signal.Signals]:
+    """The signals that end training, but for those that this process ignores, as SIGHUP under `nohup`."""
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return [each for each in signals if signal.getsignal(each) is not signal.SIG_IGN]
+
+
+def let_go_of_closed_terminal() -> None:
+    """Lets what would be printed on a terminal that is gone vanish, so that it does not end what is to be saved."""
+    for descriptor in (1, 2):
+        try:
+            os.write(descriptor, b"")
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, descriptor)
+            if nowhere != descriptor:
+                os.close(nowhere)
+
+
 @contextmanager
 def stopping_on_signals(trainer: "Training") -> Iterator[None]:
-    """Lets the first SIGINT or SIGTERM end the run with everything saved, and the second end the process at once.
+    """Lets the first signal end the run with everything saved, and the second end the process at once.
 
-    Those that this process ignores it goes on to ignore.
+    A second SIGHUP is passed over: a closing terminal sends it, and so does the shell in it.
     """
 
-    def stop(_number: int, _frame: object) -> None:
+    def stop(number: int, _frame: object) -> None:
+        if number == signal.SIGHUP:
+            let_go_of_closed_terminal()
+            if trainer.stopping:
+                return
         if trainer.stopping:
             if sys.stderr.isatty():
                 sys.stderr.write(f"{_SHOW_CURSOR}\n")
@@ -30,8 +52,7 @@ def stopping_on_signals(trainer: "Training") -> Iterator[None]:
             os._exit(INTERRUPTED)
         trainer.interrupt()
 
-    heeded = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
-    previous = {number: signal.signal(number, stop) for number in heeded}
+    previous = {number: signal.signal(number, stop) for number in heeded()}
     try:
         yield
     finally:

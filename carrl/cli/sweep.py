@@ -8,12 +8,12 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from carrl.cli.signals import INTERRUPTED
+from carrl.cli.signals import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.sweep_hooks import Beginning
 from carrl.errors import CarrlError
 from carrl.run.sweep import job_name
@@ -35,17 +35,25 @@ def sweep(overrides: Sequence[str], run_hydra: Callable[[Sequence[str], Callable
         CarrlError: a job failed, or the overrides are wrong.
         KeyboardInterrupt: a signal ended the sweep, with everything saved.
     """
-    Beginning.folder = None
+    Beginning.folder, Beginning.lock = None, ExitStack()
     for name in _THREADS:  # of the processes that run jobs, one core for each
         os.environ.setdefault(name, "1")
     jobs = _plan(overrides)
     console = SweepConsole(len(jobs))
-    with _stopping_on_signals(), _watching(console):
-        try:
-            run_hydra([*overrides, *_naming(overrides, jobs)], run_job)
-        except Exception:
-            if not (Beginning.folder and Beginning.folder.is_to_stop):  # else a launcher that lost a job to the signal
-                raise
+    with Beginning.lock:
+        with _stopping_on_signals(), _watching(console):
+            try:
+                run_hydra([*overrides, *_naming(overrides, jobs)], run_job)
+            except Exception:
+                if not (
+                    Beginning.folder and Beginning.folder.is_to_stop
+                ):  # else a launcher that lost a job to the signal
+                    raise
+        return _show_end(console)
+
+
+def _show_end(console: SweepConsole) -> int:
+    """Tells how the sweep ended, and returns its exit code."""
     folder = Beginning.folder
     if folder is None:  # Hydra only showed help or a configuration
         return 0
@@ -97,16 +105,23 @@ def _own(overrides: Sequence[str]) -> list[str]:
 
 @contextmanager
 def _stopping_on_signals() -> Iterator[None]:
-    """Lets the first SIGINT or SIGTERM end the sweep once its jobs have saved, and the second this process at once."""
+    """Lets the first signal end the sweep once its jobs have saved, and the second this process at once.
 
-    def stop(_number: int, _frame: object) -> None:
+    As in a run, a second SIGHUP is passed over.
+    """
+
+    def stop(number: int, _frame: object) -> None:
         if Beginning.folder is None:
             raise KeyboardInterrupt
+        if number == signal.SIGHUP:
+            let_go_of_closed_terminal()
+            if Beginning.folder.is_to_stop:
+                return
         if Beginning.folder.is_to_stop:
             os._exit(INTERRUPTED)
         Beginning.folder.stop()
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {number: signal.signal(number, stop) for number in heeded()}
     try:
         yield
     finally:

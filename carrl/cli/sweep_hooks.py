@@ -1,30 +1,67 @@
-"""What conf/train.yaml names for sweeps, and so every `carrl train` imports; hence nothing here waits for torch.
+"""What conf/train.yaml names for the folders of runs and sweeps.
 
-A process that runs jobs imports this module before Hydra composes their configurations.
+Every `carrl train` imports it, hence nothing here waits for torch. A process that runs jobs imports this module before
+Hydra composes their configurations.
 """
 
 import os
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
+from carrl.errors import CarrlError
+from carrl.run.lock import locked
+from carrl.run.new_folder import make_new
 from carrl.run.sweep import SweepFolder, job_name
 
 OmegaConf.register_new_resolver("carrl.job_name", job_name, replace=True)
 
 
+class Refusal(BaseException):
+    """Carries an error past Hydra, which turns every `Exception` of a callback into a warning and goes on."""
+
+    def __init__(self, error: CarrlError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
 class Beginning(Callback):
-    """Tells this process where Hydra puts the sweep, and makes the folder ready, before its first job.
+    """Makes the folder of a run or a sweep ready before Hydra writes to it, a new one where none was named.
 
     Attributes:
         folder: of the sweep that this process has begun; None in one that only runs jobs.
+        lock: on that folder, until it is closed.
     """
 
     folder: SweepFolder | None = None
+    lock = ExitStack()
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        """Makes the run's folder."""
+        with suppress(CarrlError):  # Hydra cannot write there either, and says so
+            _choose_folder("run", config)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        """Makes the folder ready."""
-        Beginning.folder = SweepFolder(Path(os.path.abspath(config.hydra.sweep.dir)))
-        Beginning.folder.begin()
+        """Makes the sweep's folder and lets nobody else begin a sweep in it."""
+        try:
+            _choose_folder("sweep", config)
+            folder = SweepFolder(Path(os.path.abspath(config.hydra.sweep.dir)))
+            Beginning.lock.enter_context(locked(folder.path))
+            folder.begin()
+        except CarrlError as error:
+            raise Refusal(error) from error
+        Beginning.folder = folder
+
+
+def _choose_folder(kind: str, config: DictConfig) -> None:
+    """Makes a new folder by the configured name or one like it, unless it was named in the command."""
+    key, given = f"hydra.{kind}.dir", config.hydra.overrides.hydra
+    if any(override.lstrip("+").startswith(f"{key}=") for override in given):
+        return
+    folder = str(make_new(Path(config.hydra[kind].dir)))
+    with read_write(config), open_dict(config):
+        config.hydra[kind].dir = folder
+        given.append(f"{key}={folder}")  # from which the configurations of a sweep's jobs are made

@@ -11,11 +11,13 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from carrl.cli.plain import plain
+from carrl.cli.records import write_records
 from carrl.cli.sweep_hooks import Beginning
 from carrl.cli.training import train
 from carrl.errors import CarrlError
 from carrl.run.build import build_world, logs_of
 from carrl.run.inputs import check_inputs, checksums
+from carrl.run.lock import locked
 from carrl.run.resumption import resumed_state
 from carrl.run.sweep import JobNote, JobState, SweepFolder, read_summaries
 from carrl.run.training import Training
@@ -54,12 +56,14 @@ def train_job(config: DictConfig) -> None:
 
 
 def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> JobState:
-    state = resumed_state(path, config)
-    summaries = read_summaries(path)
-    if state and state["config"] == config and summaries and all(summary["finished"] for summary in summaries):
-        check_inputs(path, state["inputs"], checksums(build_world(config).circuits, logs_of(config)))
-        return "finished before"
-    train(config, path, state, _Obedient(folder))
+    with locked(path):
+        state = resumed_state(path, config)
+        summaries = read_summaries(path)
+        if state and state["config"] == config and summaries and all(summary["finished"] for summary in summaries):
+            check_inputs(path, state["inputs"], checksums(build_world(config).circuits, logs_of(config)))
+            return "finished before"
+        write_records(path)
+        train(config, path, state, _Obedient(folder))
     return "finished"
 
 

@@ -5,7 +5,8 @@ What trains is imported once the configuration is composed, so that a misspelt k
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import hydra
@@ -15,14 +16,19 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from carrl.cli.plain import plain
+from carrl.cli.records import HYDRA, OVERRIDES, write_records
 from carrl.cli.sweep import FLAGS, sweep
+from carrl.cli.sweep_hooks import Refusal
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 from carrl.printable import printable
+from carrl.run.files import CONFIG, load_config
+from carrl.run.lock import LOCK, locked
+from carrl.run.new_folder import check_holds_no_run
 
 RESUME = "resume="
-HYDRAS_OWN = {".hydra", ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml"}
-"""What Hydra writes before anything is checked."""
+_BEFORE_TRAINING = {".hydra", str(CONFIG), str(HYDRA), str(OVERRIDES), LOCK}
+"""What is written before everything is checked."""
 
 
 def main(argv: list[str]) -> int:
@@ -42,10 +48,15 @@ def main(argv: list[str]) -> int:
 
         path = Path(HydraConfig.get().runtime.output_dir)
         try:
-            train(plain(config), path)
+            with locked(path):
+                check_holds_no_run(path)
+                with _leaving_nothing_if_refused(path):
+                    write_records(path)
+                    train(plain(config), path)
         except CarrlError as error:  # kept from Hydra, which would print it in its own way
             failures.append(error)
-            _remove_unless_begun(path)
+            with suppress(OSError):  # it is not empty, but for a run that was refused
+                path.rmdir()
 
     _run_hydra(arguments, job)
     if failures:
@@ -63,6 +74,8 @@ def _run_hydra(arguments: Sequence[str], job: Callable[[DictConfig], None]) -> N
     sys.argv = ["carrl train", *arguments]
     try:
         hydra.main(version_base="1.3", config_path=str(config_dir()), config_name="train")(job)()
+    except Refusal as refusal:
+        raise refusal.error from None
     except (HydraException, OmegaConfBaseException) as error:
         launcher = "hydra/launcher" in str(error) and any("hydra/launcher=" in argument for argument in arguments)
         remedy = "; joblib and submitit need pip install 'carrl[sweep]'" if launcher else ""
@@ -78,20 +91,26 @@ def _resume(run: Path, arguments: list[str]) -> int:
     from carrl.cli.training import train
     from carrl.run.resumption import resume
 
-    resumption = resume(run, arguments)
-    for remark in resumption.remarks:
-        print(printable(remark))
-    train(resumption.config, run, resumption.state)
+    load_config(run)  # so that nothing is written to a folder that is no run's
+    with locked(run):
+        resumption = resume(run, arguments)
+        for remark in resumption.remarks:
+            print(printable(remark))
+        train(resumption.config, run, resumption.state)
     return 0
 
 
-def _remove_unless_begun(path: Path) -> None:
-    """Leaves nothing behind of a run that was refused before it began."""
-    found = {each.relative_to(path).as_posix() for each in path.rglob("*")}
-    if found <= HYDRAS_OWN:
-        for name in sorted(found, reverse=True):
-            (path / name).rmdir() if (path / name).is_dir() else (path / name).unlink()
-        path.rmdir()
+@contextmanager
+def _leaving_nothing_if_refused(path: Path) -> Iterator[None]:
+    """Removes the records of a run that was refused before it began."""
+    try:
+        yield
+    except CarrlError:
+        found = {each.relative_to(path).as_posix() for each in path.rglob("*")}
+        if found <= _BEFORE_TRAINING:
+            for name in sorted(found - {LOCK}, reverse=True):
+                (path / name).rmdir() if (path / name).is_dir() else (path / name).unlink()
+        raise
 
 
 def name_files(argument: str) -> list[str]:

@@ -20,6 +20,8 @@ from carrl.cli.train import name_files
 from carrl.cli.training import train
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
+from carrl.run.lock import locked
+from carrl.run.new_folder import check_holds_no_run, make_new
 from carrl.run.objective import OBJECTIVES, Objective
 from carrl.run.trainer import Trainer
 from carrl.view.console import Silence
@@ -43,9 +45,10 @@ def main(argv: list[str]) -> int:
     if config.get("data"):
         raise ConfigError("data is given, but only training in the simulator can be tuned; leave data=log out")
     space = parse_search_space(config.get(SEARCH))
-    folder = arguments.folder or Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}")
+    folder = arguments.folder or make_new(Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}"))
     tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder)
-    study = _open_study(arguments, tuning, config["seed"])
+    with locked(folder, waiting=True):  # several commands may share a study, but only one may make it
+        study = _open_study(arguments, tuning, config["seed"])
     console = TuningConsole(arguments.trials, tuple(space), maximizes=tuning.objective.direction == "maximize")
     deadline = time.monotonic() + arguments.timeout if arguments.timeout else None
     try:
@@ -94,7 +97,10 @@ class Tuning:
             config = _compose([*self.overrides, *drawn])
             config.pop(SEARCH)
             judge = _Judge(trial, self.objective, config)
-            train(config, self.folder / f"trial={trial.number}", None, judge)
+            folder = self.folder / f"trial={trial.number}"
+            with locked(folder):
+                check_holds_no_run(folder)
+                train(config, folder, None, judge)
         except KeyboardInterrupt:  # how a run ends that was told to stop
             if judge is None or judge.verdict is None:
                 study.tell(trial, state=TrialState.FAIL)
@@ -160,12 +166,11 @@ def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any
     """The study in the storage, new or to go on with.
 
     Raises:
-        ConfigError: the storage cannot be used, or has a study of something else.
+        ConfigError: the storage cannot be used, or has a study of something else, or the folder has another's trials.
     """
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    tuning.folder.mkdir(parents=True, exist_ok=True)
     storage = arguments.storage or f"sqlite:///{tuning.folder.absolute()}/{STUDY}"
     pruner = optuna.pruners.MedianPruner(WARM_UP_TRIALS, WARM_UP_EVALUATIONS)
     try:
@@ -178,6 +183,9 @@ def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any
         )
     except Exception as error:  # of SQLAlchemy and its drivers
         raise ConfigError(f"--storage '{storage}' cannot be used: {str(error).splitlines()[0]}") from error
+    if not study.trials:
+        for folder in tuning.folder.glob("trial=*"):
+            check_holds_no_run(folder)
     study.sampler = optuna.samplers.TPESampler(seed=(seed + len(study.trials)) % 2**32)
     asked = [*tuning.overrides, f"--objective {arguments.objective}", *map(str, tuning.space.items())]
     if study.user_attrs.get(_ASKED, asked) != asked:

@@ -13,7 +13,7 @@ def read_settings(run: Path) -> Settings:
     """The files in `.hydra`, by path.
 
     Raises:
-        CheckpointError: one is a link, too large, or no regular file.
+        CheckpointError: one of them is a folder, a link or no other regular file, or too large.
     """
     return {
         file: read_whole(file, MAX_CONFIG_BYTES, f"'{file}'", CheckpointError, follow_links=False)

@@ -3,14 +3,17 @@
 multirun.yaml   what was asked for, as Hydra notes it
 JOB/job.json    how a job stands
 stop            there once the sweep is to end: running jobs save and end, no further one begins
+
+Files by these names that no sweep of CarRL wrote, or that belong to a sweep further below, are left alone.
 """
 
 import json
+import os
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from carrl.errors import CarrlError
 from carrl.files import write_whole
@@ -18,6 +21,7 @@ from carrl.run.files import LOG, SUMMARY, read_text
 
 JOB = "job.json"
 STOP = "stop"
+_WISH = "the sweep is to end\n"
 _PATHS = {"track.name_or_path": "track", "data.path": "data"}
 """Keys whose values are files, and what they are called in a job's name."""
 _LONGEST_NAME = 120
@@ -47,8 +51,10 @@ class JobNote:
         """Leaves the note in the job's folder.
 
         Raises:
-            CarrlError: the disk refuses it.
+            CarrlError: the disk refuses it, or something else by that name is there.
         """
+        if os.path.lexists(folder / JOB) and read_note(folder / JOB) is None:
+            raise CarrlError(f"'{folder / JOB}' is in the way of a sweep's note and not one itself; move it away")
         write_whole(folder / JOB, (json.dumps(asdict(self)) + "\n").encode())
 
 
@@ -59,29 +65,53 @@ class SweepFolder:
     path: Path
 
     def begin(self) -> None:
-        """Forgets how the jobs of an earlier sweep in this folder stood; their results stay."""
-        for left_over in (*self.path.rglob(JOB), *self.path.glob(STOP)):
-            left_over.unlink(missing_ok=True)
+        """Forgets how the jobs of an earlier sweep in this folder stood; their results stay.
+
+        Raises:
+            CarrlError: something is in the way of the wish to end.
+        """
+        stop = self.path / STOP
+        if os.path.lexists(stop):
+            if not _is_wish(stop):
+                raise CarrlError(f"'{stop}' would end the sweep, and it is none that this version wrote; move it away")
+            stop.unlink(missing_ok=True)
+        for folder in self.notes():
+            (folder / JOB).unlink(missing_ok=True)
 
     def stop(self) -> None:
         """Asks all jobs, on whatever machine, to end."""
         self.path.mkdir(parents=True, exist_ok=True)
-        (self.path / STOP).touch()
+        write_whole(self.path / STOP, _WISH.encode())
 
     @property
     def is_to_stop(self) -> bool:
         """Whether someone asked for the sweep's end."""
-        return (self.path / STOP).exists()
+        return (self.path / STOP).is_file()
 
     def notes(self) -> dict[Path, JobNote]:
         """How the jobs stand that have begun, by folder, in the order of the sweep."""
-        notes = {}
-        for file in self.path.rglob(JOB):
-            try:
-                notes[file.parent] = JobNote(**json.loads(read_text(file)))
-            except (CarrlError, ValueError, TypeError):  # of another program, or gone since
-                continue
+        found = {file.parent: read_note(file) for file in self.path.rglob(JOB)}
+        notes = {
+            folder: note for folder, note in found.items() if note and note.name == os.path.relpath(folder, self.path)
+        }
         return dict(sorted(notes.items(), key=lambda item: item[1].number))
+
+
+def read_note(file: Path) -> JobNote | None:
+    """The note in a file; None if it is another program's, or gone."""
+    try:
+        note = JobNote(**json.loads(read_text(file)))
+    except (CarrlError, ValueError, TypeError):
+        return None
+    return note if isinstance(note.number, int) and note.state in get_args(JobState) else None
+
+
+def _is_wish(file: Path) -> bool:
+    """Whether this is the file by which a sweep asks its jobs to end."""
+    try:
+        return read_text(file) == _WISH
+    except CarrlError:
+        return False
 
 
 def read_summaries(job: Path) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ import pytest
 
 from carrl.cli.main import main
 from carrl.run.sweep import JobNote, SweepFolder, job_name
+from tests.processes import carrl_command
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=16"]
 
@@ -83,14 +84,15 @@ def test_another_sweep_into_the_same_folder_is_refused(tmp_path, capsys):
     assert "differs from the checkpoint's in network.hidden_sizes" in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_a_sweep_with_the_job_in_hand_saved(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_ends_a_sweep_with_the_job_in_hand_saved(number, tmp_path):
     overrides = ["compile=false", "track=oval", "seed=0,1", f"hydra.sweep.dir={tmp_path}"]
-    command = [sys.executable, "-m", "carrl.cli.main", "train", "-m", *overrides]
+    command = [*carrl_command(), "train", "-m", *overrides]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
     metrics, deadline = tmp_path / "seed=0" / "metrics.csv", time.monotonic() + 60
     while not (metrics.exists() and metrics.stat().st_size) and time.monotonic() < deadline:
         time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert f"go on with the same command and hydra.sweep.dir={tmp_path}" in output
@@ -102,7 +104,8 @@ def test_ctrl_c_ends_a_sweep_with_the_job_in_hand_saved(tmp_path):
 def test_a_note_of_another_program_is_passed_over(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "job.json").write_text("[]")
-    JobNote(0, "b", "running").write(tmp_path)
+    (tmp_path / "b").mkdir()
+    JobNote(0, "b", "running").write(tmp_path / "b")
     assert [note.name for note in SweepFolder(tmp_path).notes().values()] == ["b"]
 
 

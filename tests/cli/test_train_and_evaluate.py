@@ -266,7 +266,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
     assert "cannot be written" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_saves_everything(number, tmp_path):
     overrides = ["track=oval", "compile=false", f"hydra.run.dir={tmp_path}"]
     command = [*carrl_command(), "train", *overrides]

@@ -42,6 +42,34 @@ def test_a_study_goes_on_where_it_ended_but_not_with_something_else(tmp_path, ca
     assert "has a study of something else" in capsys.readouterr().err
 
 
+@needs_optuna
+def test_a_study_without_its_database_does_not_overwrite_its_trials(tmp_path, capsys):
+    assert tune(tmp_path, "--trials", "1") == 0
+    (tmp_path / "study.db").unlink()
+    summary = (tmp_path / "trial=0" / "summary.json").read_bytes()
+    assert tune(tmp_path, "--trials", "1") == 2
+    assert f"'{tmp_path / 'trial=0'}' has a run already" in capsys.readouterr().err
+    assert (tmp_path / "trial=0" / "summary.json").read_bytes() == summary
+
+
+@needs_optuna
+def test_a_study_kept_elsewhere_does_not_overwrite_the_trials_of_another(tmp_path, capsys):
+    (tmp_path / "trial=1").mkdir()
+    (tmp_path / "trial=1" / "summary.json").write_text("work")
+    storage = f"sqlite:///{tmp_path}/elsewhere.db"
+    assert tune(tmp_path / "study", "--trials", "1", "--storage", storage) == 0
+    assert tune(tmp_path, "--trials", "2", "--storage", storage) == 2
+    assert f"'{tmp_path / 'trial=1'}' has a run already" in capsys.readouterr().err
+    assert (tmp_path / "trial=1" / "summary.json").read_text() == "work"
+
+
+@needs_optuna
+def test_a_study_in_a_file_is_one_sentence(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert tune(tmp_path / "file", "--trials", "1") == 2
+    assert "is not a folder; name one" in capsys.readouterr().err
+
+
 class Trial:
     """A trial that is hopeless after so many reports."""
 

@@ -1,0 +1,75 @@
+"""Which signals end training, and what a second one does."""
+
+import os
+import pty
+import signal
+
+import pytest
+
+from carrl.cli import signals
+from carrl.cli.signals import heeded, let_go_of_closed_terminal, stopping_on_signals
+
+
+class Trainer:
+    stopping = False
+
+    def interrupt(self):
+        self.stopping = True
+
+
+class EndedError(Exception):
+    """What stands for the end of the process."""
+
+
+@pytest.fixture
+def at_its_end(monkeypatch):
+    def end(code):
+        raise EndedError(code)
+
+    monkeypatch.setattr(signals.os, "_exit", end)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_second_signal_ends_the_process_at_once(number, at_its_end):
+    with stopping_on_signals(Trainer()) as _, pytest.raises(EndedError, match="130"):
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+
+
+def test_a_second_sighup_is_passed_over_since_a_closing_terminal_sends_two(at_its_end):
+    trainer = Trainer()
+    with stopping_on_signals(trainer):
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+        assert trainer.stopping
+        with pytest.raises(EndedError):
+            signal.raise_signal(signal.SIGTERM)
+
+
+def test_under_nohup_sighup_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        trainer = Trainer()
+        with stopping_on_signals(trainer):
+            signal.raise_signal(signal.SIGHUP)
+        assert not trainer.stopping
+        assert signal.SIGHUP not in heeded()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_closed_terminal_is_let_go_of_and_an_open_one_is_kept():
+    kept, (master, terminal) = os.dup(2), pty.openpty()
+    try:
+        os.dup2(terminal, 2)
+        let_go_of_closed_terminal()
+        assert os.isatty(2)
+        os.close(master)
+        with pytest.raises(OSError, match="Input/output error"):
+            os.write(2, b"progress")
+        let_go_of_closed_terminal()
+        assert os.write(2, b"progress") == len(b"progress")
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(terminal)
