@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.record.reader import Log, Selection
+from carrl.record.metadata import ATTACHMENT
+from carrl.record.reader import Log
 from carrl.record.scene import Floats, Scene, TrackShape
+from carrl.record.selection import Selection
 
 _TRACK_NAME = re.compile(r"track(?:-(\d{1,6}))?\.json")
 
@@ -138,7 +140,8 @@ def read_scene(log: Log) -> Scene:
     Raises:
         DamagedLogError: the log's metadata or attachments do not describe one.
     """
-    numbers = {name: int(match[1] or 0) for name in log.attachments if (match := _TRACK_NAME.fullmatch(name))}
+    own = [name for name in log.attachments if ATTACHMENT + name in log.metadata]
+    numbers = {name: int(match[1] or 0) for name in own if (match := _TRACK_NAME.fullmatch(name))}
     try:
         tracks = [TrackShape.from_json(log.attachment(name)) for name in sorted(numbers, key=numbers.__getitem__)]
         return Scene.from_entries(log.metadata, tracks)

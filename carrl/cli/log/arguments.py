@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from carrl.errors import LogError
-from carrl.record.reader import Selection
+from carrl.record.selection import Selection
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]
