@@ -18,6 +18,8 @@ from carrl.record.reader import Log
 from carrl.record.scene import Floats, Scene, TrackShape
 from carrl.record.selection import Selection
 
+_GREATEST = 1e30
+"""Of a reading, which should be 1 at most: single precision must hold where its ray ends."""
 _TRACK_NAME = re.compile(r"track(?:-(\d{1,6}))?\.json")
 
 
@@ -118,7 +120,7 @@ class EpisodeTrace:
         """What each ray read before each step and after the last, [T + 1, R], m."""
         rays = len(self.scene.sensor_angles)
         seen = [self.columns["observation"][:, :rays], self.columns["next_observation"][-1:, :rays]]
-        return np.vstack(seen).astype(np.float64) * self.scene.sensor_range
+        return np.vstack(seen).astype(np.float64).clip(-_GREATEST, _GREATEST) * self.scene.sensor_range
 
     @cached_property
     def gates_passed(self) -> NDArray[np.int64]:
