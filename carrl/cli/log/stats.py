@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb
+from carrl.cli.log.arguments import Verbs, add_json, add_verb, check_output
 from carrl.cli.log.printable import printable_scene
 from carrl.cli.log.terminal import print_json
 from carrl.errors import CarrlError, DamagedLogError, LogError
@@ -34,6 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     picture, source = arguments.png, Path(arguments.file)
     if picture is not None and picture.suffix.lower() != ".png":
         raise CarrlError(f"--png is '{picture}'; the picture is a PNG, so its name must end in .png")
+    if picture is not None:
+        check_output(picture, source)
     with Log(source) as log:
         stats = _read_stats(log)
     if picture is not None:
