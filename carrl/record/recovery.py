@@ -7,6 +7,7 @@ in another order, by the number of transitions before them.
 import json
 import mmap
 import os
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -250,7 +251,7 @@ class _Copy:
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
         self._highest: Counter[str] = Counter()
-        self._seen: set[bytes] = set()
+        self._seen: set[tuple[object, ...]] = set()
 
     @property
     def episodes_lost(self) -> int:
@@ -266,11 +267,10 @@ class _Copy:
     def _renumbered(self, decoded: Decoded) -> Message | None:
         """The message as it is to be written; None if it has been already, or does not fit those before."""
         message, topic, batch = decoded.message, decoded.topic, decoded.batch
-        # The sequence does not tell messages apart: MCAP leaves it to the writer, and many write 0.
-        digest = blake2b(message.log_time.to_bytes(8, "little") + message.data, digest_size=16).digest()
-        if digest in self._seen:
+        identity = _identity(decoded)
+        if identity in self._seen:
             return None
-        self._seen.add(digest)
+        self._seen.add(identity)
         self.found[topic] += 1
         content = message.data
         if batch is None:
@@ -288,3 +288,11 @@ class _Copy:
         sequence = self._sequences[topic]
         self._sequences[topic] += 1
         return replace(message, channel_id=CHANNELS[topic], data=content, sequence=sequence % 2**32)
+
+
+def _identity(decoded: Decoded) -> tuple[object, ...]:
+    """What tells a message from others of its run; not its sequence, for which many writers put 0."""
+    content = decoded.message.data
+    if decoded.batch:  # most of a log: a checksum and the place are enough, and quick
+        return decoded.number, decoded.message.log_time, zlib.crc32(content)
+    return decoded.topic, decoded.message.log_time, blake2b(content, digest_size=16).digest()
