@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from carrl.record.layout import tensordict_of
 from carrl.record.messages import Episode, Metrics
-from carrl.record.reader import Log, Selection
+from carrl.record.reader import Log
 from carrl.record.recovery import Recovery, recover
+from carrl.record.selection import Selection
 from carrl.record.summary import LogSummary, summarise
 from carrl.record.trace import EpisodeTrace, read_trace
 from carrl.record.verification import IntactLog, verify

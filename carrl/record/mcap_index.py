@@ -1,11 +1,14 @@
-"""A finished MCAP file, opened through its summary: what is in it, and any part of it without reading the rest."""
+"""A finished MCAP file, opened through its summary: what is in it, and any part of it without reading the rest.
+
+Where the summary does not tell of all that the file holds, as MCAP allows, the file is read once from begin to end.
+"""
 
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
@@ -28,39 +31,31 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.record.mcap_records import HEAD, MAX_CHUNK_BYTES, check_crc, messages_in, parse, records_in, unpack
+from carrl.record.mcap_records import (
+    HEAD,
+    MAX_RECORD_BYTES,
+    UnsupportedError,
+    check_crc,
+    messages_in,
+    parse,
+    records_in,
+    unpack,
+)
+from carrl.record.mcap_scan import McapIndex, head_at, scan
 
 MAX_SUMMARY_BYTES = 32 * 2**20
 """The largest summary that is read: that of a log of about 200 GB."""
 
 _FOOTER = struct.Struct("<BQQQI")
-_MAX_ENTRY_BYTES = MAX_CHUNK_BYTES + 2**10
-
-
-@dataclass(frozen=True)
-class McapIndex:
-    """What the summary of a file says.
-
-    Attributes:
-        channels: with their schemas, by number.
-        chunks: in the order of the file.
-        attachments: in the order of the file.
-        metadata: in the order of the file.
-        messages: how many there are, by channel.
-    """
-
-    channels: dict[int, tuple[Channel, Schema | None]]
-    chunks: list[ChunkIndex]
-    attachments: list[AttachmentIndex]
-    metadata: list[MetadataIndex]
-    messages: dict[int, int]
+_TOLD_OF = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA)
 
 
 class IndexedFile:
     """A finished file; use it in a `with` statement. Every CRC of what it reads is checked.
 
     Raises:
-        LogError: the file is missing, no MCAP file, unfinished or damaged.
+        LogError: the file is missing, or holds what is not supported.
+        DamagedLogError: it is no MCAP file, unfinished or damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -98,7 +93,13 @@ class IndexedFile:
         return record
 
     def messages(self, entry: ChunkIndex) -> Iterator[Message]:
-        """Yields the messages of a chunk."""
+        """Yields the messages of a chunk, or of a stretch without one."""
+        if entry.chunk_start_offset in self.index.stretches:
+            with self._naming_damage():
+                self._file.seek(entry.chunk_start_offset)
+                messages = list(messages_in(self._file.read(entry.chunk_length)))
+            yield from messages
+            return
         chunk = self._read_entry(entry.chunk_start_offset, entry.chunk_length, Opcode.CHUNK)
         assert isinstance(chunk, Chunk)
         with self._naming_damage():
@@ -109,7 +110,7 @@ class IndexedFile:
 
     def _read_entry(self, offset: int, length: int, opcode: Opcode) -> McapRecord:
         with self._naming_damage():
-            if not HEAD.size <= length <= _MAX_ENTRY_BYTES or offset + length > self.size:
+            if not HEAD.size <= length <= MAX_RECORD_BYTES or offset + length > self.size:
                 raise ValueError(f"its index tells of a record of {length} bytes at {offset}")
             self._file.seek(offset)
             content = self._file.read(length)
@@ -124,38 +125,80 @@ class IndexedFile:
         footer = self._file.read(_FOOTER.size)
         opcode, length, begin, _, crc = _FOOTER.unpack(footer)
         summary_bytes = self.size - len(MCAP0_MAGIC) - _FOOTER.size - begin
-        if opcode != Opcode.FOOTER or length != _FOOTER.size - HEAD.size or begin == 0 or summary_bytes < 0:
-            raise ValueError("its last record is no footer with a summary")
+        if opcode != Opcode.FOOTER or length != _FOOTER.size - HEAD.size or summary_bytes < 0:
+            raise ValueError("its last record is no footer")
+        if begin == 0:  # no summary
+            return scan(self._file, self.size)
         if summary_bytes > MAX_SUMMARY_BYTES:
             raise ValueError(f"its summary has {summary_bytes} bytes; the limit is {MAX_SUMMARY_BYTES}")
         self._file.seek(begin)
         summary = self._file.read(summary_bytes)
         check_crc("the summary", struct.pack("<I", crc), zlib.crc32(footer[:-4], zlib.crc32(summary)))
-        return _index_of([record for opcode, body in records_in(summary) if (record := parse(opcode, body))])
+        records = [record for opcode, body in records_in(summary) if (record := parse(opcode, body))]
+        index = _index_of(records)
+        if _agrees(index, records) and self._tells_all(index, begin):
+            return index
+        return scan(self._file, self.size)
+
+    def _tells_all(self, index: McapIndex, summary_begin: int) -> bool:
+        """Whether nothing but what the index tells of lies before the summary; does not read what it does tell of."""
+        ends = {entry.offset: entry.offset + entry.length for entry in index.attachments}
+        ends |= {entry.offset: entry.offset + entry.length for entry in index.metadata}
+        for chunk in index.chunks:
+            ends[chunk.chunk_start_offset] = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+        position = len(MCAP0_MAGIC)
+        while position < summary_begin:
+            if position in ends:
+                position = max(position + HEAD.size, ends[position])
+                continue
+            opcode, position = head_at(self._file, position)
+            if opcode == Opcode.DATA_END:
+                return True
+            if opcode in _TOLD_OF:
+                return False
+        return False
 
     @contextmanager
     def _naming_damage(self) -> Iterator[None]:
         try:
             yield
+        except UnsupportedError as error:
+            raise unsupported(self.path, error) from error
         except (ValueError, OSError, struct.error) as error:
             raise damaged(self.path, error) from error
 
 
 def _index_of(records: list[McapRecord]) -> McapIndex:
-    schemas = {record.id: record for record in records if isinstance(record, Schema)}
-    channels = [record for record in records if isinstance(record, Channel)]
     chunks = [record for record in records if isinstance(record, ChunkIndex)]
+    chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
     ends = [0, *(chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks)]
     if any(chunk.chunk_start_offset < end for chunk, end in zip(chunks, ends, strict=False)):
         raise ValueError("its index tells of chunks that overlap")
     statistics = [record for record in records if isinstance(record, Statistics)]
     return McapIndex(
-        channels={channel.id: (channel, schemas.get(channel.schema_id)) for channel in channels},
+        schemas={record.id: record for record in records if isinstance(record, Schema)},
+        channels={record.id: record for record in records if isinstance(record, Channel)},
         chunks=chunks,
         attachments=[record for record in records if isinstance(record, AttachmentIndex)],
         metadata=[record for record in records if isinstance(record, MetadataIndex)],
-        messages=statistics[0].channel_message_counts if statistics else {},
+        messages=Counter(statistics[0].channel_message_counts if statistics else {}),
     )
+
+
+def _agrees(index: McapIndex, records: list[McapRecord]) -> bool:
+    """Whether there are statistics, and as many entries of each kind as they count."""
+    for record in records:
+        if isinstance(record, Statistics):
+            counted = (record.channel_count, record.chunk_count, record.attachment_count, record.metadata_count)
+            found = tuple(map(len, (index.channels, index.chunks, index.attachments, index.metadata)))
+            described = all(channel.schema_id in {0, *index.schemas} for channel in index.channels.values())
+            return counted == found and described and record.message_count == index.messages.total()
+    return False
+
+
+def unsupported(path: Path, found: object) -> LogError:
+    """The error for a file that is as MCAP allows, but not as CarRL reads it."""
+    return LogError(f"log '{path}': is not supported: {found}; have the program that wrote it write it anew otherwise")
 
 
 def damaged(path: Path, found: object) -> DamagedLogError:

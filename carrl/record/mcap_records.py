@@ -5,9 +5,10 @@ Source: the MCAP specification, https://mcap.dev/spec.
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -28,6 +29,9 @@ from mcap.records import (
 MAX_CHUNK_BYTES = 64 * 2**20
 """The largest chunk that is unpacked; the writer's stay below 1 + 8 MiB."""
 
+MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**10
+"""The largest record that is read."""
+
 HEAD = struct.Struct("<BQ")
 """What every record begins with: its opcode and the length of its body."""
 
@@ -43,6 +47,10 @@ _KINDS = {
     Opcode.METADATA_INDEX: MetadataIndex,
     Opcode.STATISTICS: Statistics,
 }
+
+
+class UnsupportedError(ValueError):
+    """What MCAP allows and CarRL does not read."""
 
 
 def parse(opcode: int, body: bytes) -> McapRecord | None:
@@ -85,10 +93,11 @@ def unpack(chunk: Chunk) -> bytes:
     """What a chunk holds, its CRC checked.
 
     Raises:
-        ValueError: it is packed in another way than zstd, too large, or damaged.
+        UnsupportedError: it is packed in another way than with zstd or LZ4, or too large.
+        ValueError: it is damaged.
     """
     unpacked_bytes(chunk)
-    content = _decompress(chunk) if chunk.compression else chunk.data
+    content = _DECOMPRESSORS[chunk.compression](chunk)
     check_crc("a chunk", struct.pack("<I", chunk.uncompressed_crc), zlib.crc32(content))
     return content
 
@@ -97,36 +106,44 @@ def unpacked_bytes(chunk: Chunk) -> int:
     """How many bytes a chunk holds at most.
 
     Raises:
-        ValueError: it is packed in another way than zstd, too large, or damaged.
+        UnsupportedError: it is packed in another way than with zstd or LZ4, or too large.
+        ValueError: it is damaged.
     """
-    if chunk.compression not in ("", "zstd"):
-        raise ValueError(f"a chunk is packed with {chunk.compression!r:.20}; only zstd or nothing can be read")
+    if chunk.compression not in _DECOMPRESSORS:
+        raise UnsupportedError(f"a chunk is packed with {chunk.compression!r:.20}; zstd, lz4 or nothing can be read")
     sizes = [chunk.uncompressed_size]
     if chunk.compression == "zstd":
         sizes.append(_frame_size(chunk.data))  # -1: not stored, then the size above is the limit
     if max(sizes) > MAX_CHUNK_BYTES:
-        raise ValueError(f"a chunk claims {max(sizes)} bytes; the limit is {MAX_CHUNK_BYTES}")
+        raise UnsupportedError(f"a chunk claims {max(sizes)} bytes; the limit is {MAX_CHUNK_BYTES}")
     return max(sizes)
 
 
 def messages_in(content: bytes) -> Iterator[Message]:
-    """Yields the messages of an unpacked chunk.
+    """The messages of an unpacked chunk, one after the other.
 
     Raises:
         ValueError: a record does not fit.
     """
-    for opcode, body in records_in(content):
-        if opcode == Opcode.MESSAGE:
-            if len(body) < _MESSAGE_FIELDS.size:
-                raise ValueError(f"a message of {len(body)} bytes")
-            channel_id, sequence, log_time, publish_time = _MESSAGE_FIELDS.unpack_from(body)
-            yield Message(
-                channel_id=channel_id,
-                sequence=sequence,
-                log_time=log_time,
-                publish_time=publish_time,
-                data=body[_MESSAGE_FIELDS.size :],
-            )
+    return (message_of(body) for opcode, body in records_in(content) if opcode == Opcode.MESSAGE)
+
+
+def message_of(body: bytes) -> Message:
+    """The message whose record has this body.
+
+    Raises:
+        ValueError: the body is too short.
+    """
+    if len(body) < _MESSAGE_FIELDS.size:
+        raise ValueError(f"a message of {len(body)} bytes")
+    channel_id, sequence, log_time, publish_time = _MESSAGE_FIELDS.unpack_from(body)
+    return Message(
+        channel_id=channel_id,
+        sequence=sequence,
+        log_time=log_time,
+        publish_time=publish_time,
+        data=body[_MESSAGE_FIELDS.size :],
+    )
 
 
 def check_crc(what: str, stored: bytes, computed: int) -> None:
@@ -145,8 +162,26 @@ def _frame_size(data: bytes) -> int:
         raise ValueError("a chunk is not what zstd writes") from error
 
 
-def _decompress(chunk: Chunk) -> bytes:
+def _unpack_zstd(chunk: Chunk) -> bytes:
     try:
         return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
     except zstandard.ZstdError as error:
         raise ValueError("a chunk cannot be unpacked") from error
+
+
+def _unpack_lz4(chunk: Chunk) -> bytes:
+    """No more than the chunk claims, for a few bytes may unpack to gigabytes."""
+    try:
+        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    except (RuntimeError, EOFError) as error:
+        raise ValueError("a chunk cannot be unpacked") from error
+    if len(content) != chunk.uncompressed_size:
+        raise ValueError("a chunk does not unpack to as many bytes as it claims")
+    return bytes(content)
+
+
+_DECOMPRESSORS: dict[str, Callable[[Chunk], bytes]] = {
+    "": lambda chunk: chunk.data,
+    "zstd": _unpack_zstd,
+    "lz4": _unpack_lz4,
+}

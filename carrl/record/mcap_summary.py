@@ -59,7 +59,7 @@ class Summary:
             case Metadata():
                 self.metadata.append(MetadataIndex(offset=offset, length=length, name=record.name))
             case Attachment():
-                self.attachments.append(_attachment_index(record, offset, length))
+                self.attachments.append(attachment_index(record, offset, length))
             case Schema():
                 self.schemas.append(record)
             case Channel():
@@ -169,7 +169,8 @@ def _head_at(content: mmap, position: int, size: int) -> tuple[int, int, int]:
     return opcode, begin, begin + length
 
 
-def _attachment_index(attachment: Attachment, offset: int, length: int) -> AttachmentIndex:
+def attachment_index(attachment: Attachment, offset: int, length: int) -> AttachmentIndex:
+    """What the summary tells of an attachment that is written in so many bytes from this offset on."""
     return AttachmentIndex(
         offset=offset,
         length=length,

@@ -6,9 +6,9 @@ more than a chunk is in memory at once.
 Shape letters: `T` transitions.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -31,45 +31,9 @@ from carrl.record.schema import (
     TRANSITIONS,
     empty_columns,
 )
+from carrl.record.selection import EVERYTHING, Selection
 
 _BATCHES_IN_A_BLOCK = 1024  # joined early: as arrays of their own, batches of one transition take 30 times its memory
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Which transitions to read; everything by default.
-
-    Attributes:
-        episodes: numbers of episodes; None for all.
-        envs: indices of cars; None for all.
-        begin_s: simulated time of the first, s.
-        end_s: simulated time before which the last one begins, s.
-    """
-
-    episodes: Collection[int] | None = None
-    envs: Collection[int] | None = None
-    begin_s: float | None = None
-    end_s: float | None = None
-
-    @property
-    def span_ns(self) -> tuple[float, float]:
-        """Begin and end of the time, ns."""
-        begin = -np.inf if self.begin_s is None else self.begin_s * 1e9
-        return begin, np.inf if self.end_s is None else self.end_s * 1e9
-
-    def of(self, columns: Columns) -> Columns:
-        """Those of the columns' transitions that are selected."""
-        begin, end = self.span_ns
-        times = columns["time_ns"]
-        wanted = (times >= begin) & (times < end)
-        if self.episodes is not None:
-            wanted &= np.isin(columns["episode"], list(self.episodes))
-        if self.envs is not None:
-            wanted &= np.isin(columns["env"], list(self.envs))
-        return columns if wanted.all() else {name: values[wanted] for name, values in columns.items()}
-
-
-EVERYTHING = Selection()
 
 
 class Log:
@@ -145,7 +109,7 @@ class Log:
         for entry in self._file.index.attachments:
             if entry.name == name:
                 content = self._file.read_attachment(entry).data
-                if content_checksum(content) != self.metadata.get(ATTACHMENT + name):
+                if content_checksum(content) != self.metadata.get(ATTACHMENT + name, content_checksum(content)):
                     raise damaged(self.path, f"its attachment {name!r:.40} is not the one that its metadata tells of")
                 return content
         raise LogError(f"log '{self.path}': has no attachment '{name}'; it has: {quoted_names(self.attachments)}")
@@ -155,7 +119,9 @@ class Log:
         """Where the chunks, attachments and metadata records begin, bytes from the file's begin."""
         index = self._file.index
         return {
-            "chunk": [chunk.chunk_start_offset for chunk in index.chunks],
+            "chunk": [
+                chunk.chunk_start_offset for chunk in index.chunks if chunk.chunk_start_offset not in index.stretches
+            ],
             "attachment": [entry.offset for entry in index.attachments],
             "metadata": [entry.offset for entry in index.metadata],
         }
@@ -241,17 +207,25 @@ class Log:
 
     def _chunks_with(self, topic: str) -> list[ChunkIndex]:
         channels = {channel for channel, name in self._topics.items() if name == topic}
-        return [chunk for chunk in self._file.index.chunks if channels & chunk.message_index_offsets.keys()]
+        return [
+            chunk
+            for chunk in self._file.index.chunks
+            if not chunk.message_index_offsets or channels & chunk.message_index_offsets.keys()
+        ]
 
     def _chunks_of(self, selection: Selection) -> Iterator[ChunkIndex]:
-        """The chunks that may hold a selected transition: each spans the time from the end of the one before on."""
+        """The chunks that may hold a selected transition: each spans the time from the last one before it on.
+
+        The end of a chunk that holds other messages, too, may be theirs; its begin is no later than any transition's.
+        """
         chunks = self._chunks_with(TRANSITIONS)
         spans = self._spans_of(selection)
         chunk_begin = -np.inf
         for chunk in chunks:
             if any(begin <= chunk.message_end_time and chunk_begin <= end for begin, end in spans):
                 yield chunk
-            chunk_begin = chunk.message_end_time
+            alone = len(chunk.message_index_offsets) == 1
+            chunk_begin = chunk.message_end_time if alone else chunk.message_start_time
 
     def _spans_of(self, selection: Selection) -> list[tuple[float, float]]:
         """Times, ns, within which all selected transitions lie."""
@@ -276,13 +250,17 @@ class Log:
     def _end_batches(self) -> list[Batch]:
         """The first and the last batch; one and the same if there is but one."""
         chunks = self._chunks_with(TRANSITIONS)
-        return [*list(self._decoded(chunks[:1]))[:1], *list(self._decoded(chunks[-1:]))[-1:]]
+        lasts = (batch for chunk in reversed(chunks) for batch in list(self._decoded([chunk]))[-1:])
+        return [*islice(self._decoded(chunks), 1), *islice(lasts, 1)]
 
     def _read_metadata(self) -> dict[str, str]:
-        found = [entry for entry in self._file.index.metadata if entry.name == METADATA_NAME]
-        if not found:
-            raise self._wrong(f"no metadata record '{METADATA_NAME}'")
-        entries = self._file.read_metadata(found[0]).metadata
+        entries = self._only_one(
+            [
+                self._file.read_metadata(entry).metadata
+                for entry in self._file.index.metadata
+                if entry.name == METADATA_NAME
+            ]
+        )
         version = entries.get("format_version")
         if version != str(FORMAT_VERSION):
             raise DamagedLogError(
@@ -293,10 +271,29 @@ class Log:
             raise damaged(self.path, "its metadata does not have the checksum that was stored")
         return entries
 
+    def _only_one(self, found: list[dict[str, str]]) -> dict[str, str]:
+        """What all of these metadata records say, if they are of one and the same log."""
+        if not found:
+            raise self._wrong(f"no metadata record '{METADATA_NAME}'")
+        runs = sorted({entries.get("run", "") for entries in found})
+        parts = {(entries.get("run"), entries.get("part")) for entries in found}
+        if len(runs) > 1:
+            raise LogError(
+                f"log '{self.path}': holds {len(runs)} logs merged into one file, of the runs {quoted_names(runs)}; "
+                "carrl reads one run a file, so write each to one of its own with: carrl log recover IN OUT --run RUN"
+            )
+        if len(parts) > 1:
+            raise LogError(
+                f"log '{self.path}': holds {len(parts)} parts of one run merged into one file; "
+                "carrl reads one part a file, so give the files that they were merged from"
+            )
+        return found[0]
+
     def _read_topics(self) -> dict[int, str]:
         """The topics of this format by their channels' numbers."""
         topics = {}
-        for number, (channel, schema) in self._file.index.channels.items():
+        for number, channel in self._file.index.channels.items():
+            schema = self._file.index.schemas.get(channel.schema_id)
             kind = (channel.message_encoding, schema.encoding, schema.name) if schema else None
             name = MESSAGE_NAMES.get(channel.topic)
             if name is not None:

@@ -6,13 +6,17 @@ in another order, by the number of transitions before them.
 
 import json
 import mmap
+import os
+import zlib
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
-from mcap.records import Attachment, Chunk, Message
+from mcap.records import Attachment, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
@@ -20,9 +24,12 @@ from carrl.record.codec import row_shapes
 from carrl.record.log_file import begin_log
 from carrl.record.mcap_file import McapFile
 from carrl.record.mcap_index import IndexedFile, open_log
+from carrl.record.mcap_scan import McapIndex
 from carrl.record.metadata import ATTACHMENT, describe
-from carrl.record.salvage import TOPICS, Content, Decoded, Pieces, decoded_messages, find_pieces, record_at
-from carrl.record.schema import EPISODES, METRICS, RECOVERY_NAME, SMALL_MESSAGES, TRANSITIONS
+from carrl.record.reader import quoted_names
+from carrl.record.salvage import Content, Pieces, find_pieces, lone_messages, record_at, unpacked
+from carrl.record.salvaged_messages import TOPICS, Decoded, decoded_messages
+from carrl.record.schema import CHANNELS, EPISODES, METADATA_NAME, METRICS, RECOVERY_NAME, TRANSITIONS
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,11 @@ class Recovery:
         attachments: salvaged; none without the metadata, for nothing else tells whose they are.
         attachments_lost: those that the metadata names besides.
         chunks_lost: how many chunks that the summary tells of are not intact where it tells of them.
+        messages_lost: how many messages that the summary counts were not found.
+        transitions_left_out: found, but do not follow those salvaged.
+        unchecked: messages salvaged that no checksum vouches for.
+        runs_left_out: what else the file has something of.
+        others_left_out: what is in the file and not part of a log's format.
     """
 
     finished: bool
@@ -52,40 +64,66 @@ class Recovery:
     attachments: tuple[str, ...]
     attachments_lost: tuple[str, ...]
     chunks_lost: int = 0
+    messages_lost: int = 0
+    transitions_left_out: int = 0
+    unchecked: int = 0
+    runs_left_out: tuple[str, ...] = ()
+    others_left_out: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
-        """Whether the file was finished, and nothing of it is lost."""
-        lost = self.transitions_lost or self.episodes_lost or self.metadata_lost or self.attachments_lost
-        return self.finished and not lost and not self.chunks_lost
+        """Whether the file was finished, and all that is in it is in the new log."""
+        counts = (self.transitions_lost, self.episodes_lost, self.chunks_lost, self.messages_lost)
+        left_out = (self.transitions_left_out, self.runs_left_out, self.others_left_out)
+        return self.finished and not any((*counts, *left_out, self.metadata_lost, self.attachments_lost))
 
 
-def recover(source: str | Path, target: str | Path) -> Recovery:
+def recover(source: str | Path, target: str | Path, run: str | None = None) -> Recovery:
     """Writes a new, finished log of all that is intact in a damaged one, and tells what was lost.
 
     The target appears whole or not at all; the source is left as it is.
 
+    Args:
+        source: the damaged file.
+        target: the new one.
+        run: which one to salvage, in 16 hexadecimal digits; None for that with the most transitions.
+
     Raises:
-        LogError: the source cannot be read, the target exists or cannot be written.
+        LogError: the source cannot be read, or has nothing of the run; the target exists or cannot be written.
         DamagedLogError: the source is empty, or no log and no piece of one.
     """
     source, target = Path(source), Path(target)
     file, _ = open_log(source)
     with file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         _check_free(target)
-        pieces = find_pieces(content)
+        index = _index_of(source)
+        pieces = find_pieces(content, index)
         if not pieces.found and content[: len(MCAP0_MAGIC)] != MCAP0_MAGIC[: len(content)]:
             raise DamagedLogError(f"log '{source}': holds nothing of a CarRL log; give the train.mcap of a run")
+        wanted = pieces.run if run is None else _number_of(run, pieces, source)
         partial = target.with_name(f".{uuid4().hex}.partial")
         try:
-            recovery = _rewrite(content, pieces, _indexed_chunks(source), partial)
-            partial.rename(target)
+            recovery = _rewrite(content, pieces, index, wanted, partial)
+            _put_into_place(partial, target)
+        except FileExistsError as error:
+            raise _taken(target) from error
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             raise _unwritable(target, error) from error
         finally:
             with suppress(OSError, ValueError):
                 partial.unlink(missing_ok=True)
     return recovery
+
+
+def _put_into_place(partial: Path, target: Path) -> None:
+    """Gives the file its name, unless there is such a file by now; raises FileExistsError then."""
+    try:
+        os.link(partial, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        target.open("xb").close()
+        partial.replace(target)
 
 
 def _check_free(target: Path) -> None:
@@ -95,7 +133,18 @@ def _check_free(target: Path) -> None:
         return
     except (OSError, ValueError) as error:
         raise _unwritable(target, error) from error
-    raise LogError(f"log '{target}': is there already; give the name of a new file")
+    raise _taken(target)
+
+
+def _taken(target: Path) -> LogError:
+    return LogError(f"log '{target}': is there already; give the name of a new file")
+
+
+def _number_of(run: str, pieces: Pieces, source: Path) -> int:
+    names = {f"{number:016x}": number for number in pieces.runs}
+    if run not in names:
+        raise LogError(f"log '{source}': holds nothing of run '{run}'; it has: {quoted_names(sorted(names))}")
+    return names[run]
 
 
 def _unwritable(target: Path, error: Exception) -> LogError:
@@ -103,16 +152,15 @@ def _unwritable(target: Path, error: Exception) -> LogError:
     return LogError(f"log '{target}': cannot be written: {reason}; give another place for it")
 
 
-def _indexed_chunks(source: Path) -> set[int] | None:
-    """Where the file's summary says that chunks begin; None if it has none that is intact."""
+def _index_of(source: Path) -> McapIndex | None:
+    """What the file's summary says is where in it; None if it has none that is intact."""
     with suppress(LogError), IndexedFile(source) as file:
-        return {chunk.chunk_start_offset for chunk in file.index.chunks}
+        return file.index
     return None
 
 
-def _rewrite(content: Content, pieces: Pieces, indexed: set[int] | None, path: Path) -> Recovery:
+def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int, path: Path) -> Recovery:
     """Writes the pieces of one run as a log of their own."""
-    run = pieces.run
     entries = pieces.metadata_of(run)
     attachments = {}
     for name, position in pieces.attachments_of(entries).items():
@@ -123,13 +171,12 @@ def _rewrite(content: Content, pieces: Pieces, indexed: set[int] | None, path: P
     file = begin_log(path, entries or describe(run, 0, {}, attachments), attachments)
     try:
         copy = _Copy(file, run)
-        places = sorted(place for place in pieces.places if place.run == run)
-        for place in places:
-            chunk = record_at(content, place.position)
-            assert isinstance(chunk, Chunk)
-            copy.add(chunk, TOPICS[place.channel])
+        for place in sorted(place for place in pieces.places if place.run == run):
+            found = [decoded for decoded in decoded_messages(unpacked(content, place), pieces.topics) if decoded]
+            copy.add(found, TOPICS[place.channel])
+        expected = _expected(index, run)
         recovery = Recovery(
-            finished=indexed is not None,
+            finished=index is not None,
             transitions=copy.written[TRANSITIONS],
             episodes=copy.written[EPISODES],
             metrics=copy.written[METRICS],
@@ -138,7 +185,12 @@ def _rewrite(content: Content, pieces: Pieces, indexed: set[int] | None, path: P
             metadata_lost=entries is None,
             attachments=tuple(attachments),
             attachments_lost=tuple(sorted(named - attachments.keys())),
-            chunks_lost=len((indexed or set()) - {place.position for place in places}),
+            chunks_lost=_chunks_lost(index, pieces),
+            messages_lost=sum(max(0, count - copy.found[topic]) for topic, count in expected.items()),
+            transitions_left_out=copy.transitions_left_out,
+            unchecked=pieces.unchecked,
+            runs_left_out=tuple(f"{other:016x}" for other in sorted(pieces.runs - {run})),
+            others_left_out=tuple(_others(content, pieces, index)),
         )
         file.add_metadata(RECOVERY_NAME, {key: json.dumps(value) for key, value in asdict(recovery).items()})
         file.finish()
@@ -147,31 +199,67 @@ def _rewrite(content: Content, pieces: Pieces, indexed: set[int] | None, path: P
     return recovery
 
 
+def _expected(index: McapIndex | None, run: int) -> Counter[str]:
+    """How many messages of the run the file's statistics count, by topic."""
+    expected: Counter[str] = Counter()
+    name = f"{run:016x}"
+    for number, channel in index.channels.items() if index else ():
+        if channel.topic in CHANNELS and channel.metadata.get("run", name) == name:
+            expected[channel.topic] += index.messages[number] if index else 0
+    return expected
+
+
+def _chunks_lost(index: McapIndex | None, pieces: Pieces) -> int:
+    if index is None:
+        return 0
+    told = {chunk.chunk_start_offset for chunk in index.chunks} - index.stretches
+    return len(told - pieces.chunks)
+
+
+def _others(content: Content, pieces: Pieces, index: McapIndex | None) -> Iterator[str]:
+    """What is in the file and not part of a log's format, in words."""
+    if index is None:
+        if count := lone_messages(content):
+            yield f"{count} messages outside of chunks, for which no checksum vouches"
+        return
+    for number, channel in index.channels.items():
+        if channel.topic not in CHANNELS and index.messages[number]:
+            yield f"topic {channel.topic!r:.80}"
+    for name in sorted({entry.name for entry in index.metadata} - {METADATA_NAME, RECOVERY_NAME}):
+        yield f"metadata {name!r:.80}"
+    vouched = {key.removeprefix(ATTACHMENT) for entries in pieces.metadata for key in entries}
+    for name in sorted({entry.name for entry in index.attachments} - vouched):
+        yield f"attachment {name!r:.80}"
+
+
 class _Copy:
     """The new log, to which the messages of the old one come in their order, each once.
 
     Attributes:
+        found: messages so far, each counted once.
         written: transitions, and messages of the other topics.
         transitions_lost: missing so far.
+        transitions_left_out: that did not fit those before.
     """
 
     def __init__(self, file: McapFile, run: int) -> None:
         self._file, self._run = file, run
+        self.found: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
-        self.transitions_lost = 0
+        self.transitions_lost = self.transitions_left_out = 0
         self._next_offset = 0
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
-        self._seen: dict[str, set[int]] = {topic: set() for topic in SMALL_MESSAGES}
+        self._highest: Counter[str] = Counter()
+        self._seen: set[tuple[object, ...]] = set()
 
     @property
     def episodes_lost(self) -> int:
-        seen = self._seen[EPISODES]
-        return max(seen) + 1 - len(seen) if seen else 0
+        return max(0, self._highest[EPISODES] - self.written[EPISODES])
 
-    def add(self, chunk: Chunk, topic: str) -> None:
-        """Appends what the chunk holds of the topic."""
-        own = [found for found in decoded_messages(chunk) if found and (found.run, found.topic) == (self._run, topic)]
+    def add(self, found: Iterable[Decoded], topic: str) -> None:
+        """Appends what is of the topic."""
+        own = [decoded for decoded in found if (decoded.run, decoded.topic) == (self._run, topic)]
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
             self._file.add_chunk(messages)
@@ -179,15 +267,19 @@ class _Copy:
     def _renumbered(self, decoded: Decoded) -> Message | None:
         """The message as it is to be written; None if it has been already, or does not fit those before."""
         message, topic, batch = decoded.message, decoded.topic, decoded.batch
+        identity = _identity(decoded)
+        if identity in self._seen:
+            return None
+        self._seen.add(identity)
+        self.found[topic] += 1
         content = message.data
         if batch is None:
-            if message.sequence in self._seen[topic]:
-                return None
-            self._seen[topic].add(message.sequence)
+            self._highest[topic] = max(self._highest[topic], message.sequence + 1)
             self.written[topic] += 1
         else:
             self._row_shapes = self._row_shapes or row_shapes(batch.columns)
             if batch.offset < self._next_offset or row_shapes(batch.columns) != self._row_shapes:
+                self.transitions_left_out += batch.count
                 return None
             self.transitions_lost += batch.offset - self._next_offset
             self._next_offset = batch.offset + batch.count
@@ -195,4 +287,12 @@ class _Copy:
             self.written[topic] += batch.count
         sequence = self._sequences[topic]
         self._sequences[topic] += 1
-        return replace(message, data=content, sequence=sequence % 2**32)
+        return replace(message, channel_id=CHANNELS[topic], data=content, sequence=sequence % 2**32)
+
+
+def _identity(decoded: Decoded) -> tuple[object, ...]:
+    """What tells a message from others of its run; not its sequence, for which many writers put 0."""
+    content = decoded.message.data
+    if decoded.batch:  # most of a log: a checksum and the place are enough, and quick
+        return decoded.number, decoded.message.log_time, zlib.crc32(content)
+    return decoded.topic, decoded.message.log_time, blake2b(content, digest_size=16).digest()

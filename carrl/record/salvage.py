@@ -8,30 +8,33 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from itertools import islice
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, McapRecord, Message, Metadata
+from mcap.records import Attachment, Chunk, McapRecord, Metadata
+from mcap.writer import MCAP0_MAGIC
 
-from carrl.record.codec import Batch, decode_small
-from carrl.record.mcap_records import HEAD, MAX_CHUNK_BYTES, messages_in, unpack, unpacked_bytes
+from carrl.record.mcap_records import (
+    HEAD,
+    MAX_RECORD_BYTES,
+    unpack,
+    unpacked_bytes,
+)
+from carrl.record.mcap_scan import McapIndex
 from carrl.record.metadata import ATTACHMENT, content_checksum, is_intact
-from carrl.record.schema import CHANNELS, METADATA_NAME, SMALL_MESSAGES, TRANSITIONS
+from carrl.record.salvaged_messages import Decoded, Topics, decoded_messages, topics_in
+from carrl.record.schema import CHANNELS, METADATA_NAME
 
 Content = mmap.mmap
 """A file's bytes, of which those looked at are in memory."""
 
-TOPICS = {channel: topic for topic, channel in CHANNELS.items()}
-
 _RUN = re.compile("[0-9a-f]{16}")
 _CANDIDATE = re.compile(
     rb"[\x06\x09\x0c].{4}\x00{4}(?:"
-    rb"(?<=\x06.{8}).{28}(?:\x04\x00{3}zstd|\x00{4}).{5}\x00{3}|"
+    rb"(?<=\x06.{8}).{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4}).{5}\x00{3}|"
     rb"(?<=\x09.{8}).{18}\x00\x00|"
     rb"(?<=\x0c.{8})\x05\x00{3}carrl)",
     re.DOTALL,
@@ -43,7 +46,6 @@ _KINDS: dict[int, type[Attachment] | type[Chunk] | type[Metadata]] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
-_MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**10
 
 _PATIENCE_BYTES = 2**30
 """How many bytes are examined in vain, beside eight times the file's, before the search ends.
@@ -54,23 +56,6 @@ _CANDIDATE_COST = 2**14
 _MESSAGE_COST = 2**14
 _PAID_WITH_A_BYTE = 2**11
 """Messages of a log take more than eight bytes each, packed, and so cost nothing."""
-_MAX_MESSAGES = 2**17
-"""How many messages of a chunk are read; the writer's have some ten thousand."""
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """A message that says what its topic's messages say; `batch` if it is one of transitions."""
-
-    message: Message
-    topic: str
-    run: int
-    batch: Batch | None
-
-    @property
-    def number(self) -> int:
-        """How many transitions, or messages of the topic, come before it."""
-        return self.batch.offset if self.batch else self.message.sequence
 
 
 @dataclass(frozen=True, order=True)
@@ -84,6 +69,7 @@ class Place:
         position: of the chunk in the damaged file.
         run: whose messages they are.
         transitions: in all of them.
+        stretch: bytes of them, where they lie in no chunk; else 0.
     """
 
     end_time: int
@@ -92,6 +78,7 @@ class Place:
     position: int
     run: int = field(compare=False)
     transitions: int = field(compare=False)
+    stretch: int = field(default=0, compare=False)
 
 
 @dataclass
@@ -102,16 +89,27 @@ class Pieces:
         metadata: entries of records, in the order of the file.
         attachments: positions by name and checksum.
         places: of messages, in the order of the file.
+        chunks: positions of the intact ones.
+        topics: of the channels.
+        unchecked: how many of the messages no checksum vouches for.
     """
 
     metadata: list[dict[str, str]] = field(default_factory=list)
     attachments: dict[tuple[str, str], int] = field(default_factory=dict)
     places: list[Place] = field(default_factory=list)
+    chunks: set[int] = field(default_factory=set)
+    topics: Topics = field(default_factory=dict)
+    unchecked: int = 0
 
     @property
     def found(self) -> bool:
         """Whether there is anything."""
         return bool(self.metadata or self.attachments or self.places)
+
+    @property
+    def runs(self) -> set[int]:
+        """The runs that there is anything of."""
+        return {place.run for place in self.places} | {int(entries["run"], 16) for entries in self.metadata}
 
     @property
     def run(self) -> int:
@@ -137,9 +135,14 @@ class Pieces:
         }
 
 
-def find_pieces(content: Content) -> Pieces:
-    """All that is intact of whatever logs the file has pieces of."""
-    pieces = Pieces()
+def find_pieces(content: Content, index: McapIndex | None) -> Pieces:
+    """All that is intact of whatever logs the file has pieces of.
+
+    Args:
+        content: of the file.
+        index: of what is in it, if that is intact; what it tells of and no checksum contradicts is taken for intact.
+    """
+    pieces = Pieces(topics=topics_in(content, index))
     position, patience = 0, 8 * len(content) + _PATIENCE_BYTES
     while patience > 0 and (candidate := _CANDIDATE.search(content, position)):
         position = candidate.start()
@@ -150,7 +153,21 @@ def find_pieces(content: Content) -> Pieces:
         else:
             patience -= _CANDIDATE_COST + _length_at(content, position) + _examined_bytes(record)
             position += 1
+    if index is not None:
+        _add_unchecked(pieces, content, index)
     return pieces
+
+
+def lone_messages(content: Content) -> int:
+    """How many messages lie in no chunk before the first byte that is no record's; no checksum vouches for them."""
+    position, count = len(MCAP0_MAGIC), 0
+    while position + HEAD.size <= len(content):
+        opcode, length = HEAD.unpack_from(content, position)
+        position += HEAD.size + length
+        if opcode not in tuple(Opcode) or position > len(content):
+            break
+        count += opcode == Opcode.MESSAGE
+    return count
 
 
 def record_at(content: Content, position: int) -> McapRecord:
@@ -160,31 +177,21 @@ def record_at(content: Content, position: int) -> McapRecord:
     return record
 
 
-def decoded_messages(chunk: Chunk) -> Iterator[Decoded | None]:
-    """Yields the messages of an intact chunk, None for those that are not of this format."""
-    with suppress(ValueError):  # whoever wrote records that do not fit their chunk is to blame
-        for message in islice(messages_in(unpack(chunk)), _MAX_MESSAGES):
-            try:
-                yield _decode(message)
-            except ValueError:
-                yield None
-
-
-def _decode(message: Message) -> Decoded | None:
-    topic = TOPICS.get(message.channel_id, "")
-    if topic == TRANSITIONS:
-        batch = Batch.decode(message.data)
-        return Decoded(message, topic, batch.run, batch)
-    if topic in SMALL_MESSAGES:
-        return Decoded(message, topic, decode_small(topic, message.data)[0], None)
-    return None
+def unpacked(content: Content, place: Place) -> bytes:
+    """The messages at a place, and what else is among them."""
+    if place.stretch:
+        return content[place.position : place.position + place.stretch]
+    chunk = record_at(content, place.position)
+    assert isinstance(chunk, Chunk)
+    return unpack(chunk)
 
 
 def _add(pieces: Pieces, position: int, record: McapRecord) -> int:
     """Notes an intact record, and tells how many messages it has."""
     match record:
         case Chunk():
-            return _add_places(pieces, position, record)
+            pieces.chunks.add(position)
+            return _add_places(pieces, position, unpack(record))
         case Attachment():
             pieces.attachments.setdefault((record.name, content_checksum(record.data)), position)
         case Metadata() if _RUN.fullmatch(record.metadata.get("run", "")):
@@ -192,14 +199,31 @@ def _add(pieces: Pieces, position: int, record: McapRecord) -> int:
     return 0
 
 
-def _add_places(pieces: Pieces, position: int, chunk: Chunk) -> int:
+def _add_unchecked(pieces: Pieces, content: Content, index: McapIndex) -> None:
+    """Notes the messages that the index tells of and that have no checksum."""
+    count = 0
+    for entry in index.chunks:
+        position = entry.chunk_start_offset
+        if position in index.stretches:
+            length = entry.chunk_length
+            count += _add_places(pieces, position, content[position : position + length], length)
+        elif position not in pieces.chunks:
+            record, _ = _parsed_at(content, position)
+            if isinstance(record, Chunk) and record.uncompressed_crc == 0:
+                with suppress(ValueError):
+                    count += _add_places(pieces, position, unpack(record))
+                    pieces.chunks.add(position)
+    pieces.unchecked = 0 if index.data_checked else count
+
+
+def _add_places(pieces: Pieces, position: int, content: bytes, stretch: int = 0) -> int:
     found: dict[tuple[int, str], tuple[int, int, int]] = {}  # latest time, least number, transitions
-    messages = list(map(_digest, decoded_messages(chunk)))
+    messages = list(map(_digest, decoded_messages(content, pieces.topics)))
     for key, end_time, number, transitions in filter(None, messages):
         latest, least, so_far = found.get(key, (end_time, number, 0))
         found[key] = (max(latest, end_time), min(least, number), so_far + transitions)
     for (run, topic), (end_time, number, transitions) in found.items():
-        pieces.places.append(Place(end_time, CHANNELS[topic], number, position, run, transitions))
+        pieces.places.append(Place(end_time, CHANNELS[topic], number, position, run, transitions, stretch))
     return len(messages)
 
 
@@ -225,7 +249,7 @@ def _parsed_at(content: Content, position: int) -> tuple[McapRecord | None, int]
 def _length_at(content: Content, position: int) -> int:
     """How many bytes the body of the record there may have."""
     _, length = HEAD.unpack_from(content, position)
-    return min(length, _MAX_RECORD_BYTES, len(content) - position - HEAD.size)
+    return min(length, MAX_RECORD_BYTES, len(content) - position - HEAD.size)
 
 
 def _is_intact(record: McapRecord, body: bytes) -> bool:

@@ -17,6 +17,9 @@ from carrl.errors import shown
 
 Floats = NDArray[np.float64]
 
+OFF_MAP = 0.1
+"""Of the longer side of a track: from so far outside of its walls on, a place is not drawn."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrackShape:
@@ -61,6 +64,14 @@ class TrackShape:
         """Least x, least y, greatest x, greatest y of the walls, m."""
         points = self.walls.reshape(-1, 2)
         return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
+
+    def on_map(self, places: Floats) -> NDArray[np.bool_]:
+        """Which of the places [K, 2] lie between the outermost walls or not far from them, [K]."""
+        left, bottom, right, top = self.bounds
+        margin = OFF_MAP * max(right - left, top - bottom)
+        return np.asarray(
+            ((places >= (left - margin, bottom - margin)) & (places <= (right + margin, top + margin))).all(axis=1)
+        )
 
 
 @dataclass(frozen=True, eq=False)

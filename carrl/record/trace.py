@@ -13,9 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.record.reader import Log, Selection
+from carrl.record.metadata import ATTACHMENT
+from carrl.record.reader import Log
 from carrl.record.scene import Floats, Scene, TrackShape
+from carrl.record.selection import Selection
 
+_GREATEST = 1e30
+"""Of a reading, which should be 1 at most: single precision must hold where its ray ends."""
 _TRACK_NAME = re.compile(r"track(?:-(\d{1,6}))?\.json")
 
 
@@ -116,7 +120,7 @@ class EpisodeTrace:
         """What each ray read before each step and after the last, [T + 1, R], m."""
         rays = len(self.scene.sensor_angles)
         seen = [self.columns["observation"][:, :rays], self.columns["next_observation"][-1:, :rays]]
-        return np.vstack(seen).astype(np.float64) * self.scene.sensor_range
+        return np.vstack(seen).astype(np.float64).clip(-_GREATEST, _GREATEST) * self.scene.sensor_range
 
     @cached_property
     def gates_passed(self) -> NDArray[np.int64]:
@@ -138,7 +142,8 @@ def read_scene(log: Log) -> Scene:
     Raises:
         DamagedLogError: the log's metadata or attachments do not describe one.
     """
-    numbers = {name: int(match[1] or 0) for name in log.attachments if (match := _TRACK_NAME.fullmatch(name))}
+    own = [name for name in log.attachments if ATTACHMENT + name in log.metadata]
+    numbers = {name: int(match[1] or 0) for name in own if (match := _TRACK_NAME.fullmatch(name))}
     try:
         tracks = [TrackShape.from_json(log.attachment(name)) for name in sorted(numbers, key=numbers.__getitem__)]
         return Scene.from_entries(log.metadata, tracks)

@@ -92,7 +92,7 @@ def resumed_state(run: Path, config: Mapping[str, Any]) -> dict[str, Any] | None
     """
     check_contents(run)
     if not _has_state(run):
-        _check_is_whole_run(run)
+        _check_is_whole_run(run, config)
         return None
     state = load_state(run)
     before, now = (_fixed(each) for each in (state.get("config"), config))

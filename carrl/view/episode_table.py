@@ -85,7 +85,7 @@ def _cells(trace: EpisodeTrace, row: int, wide: bool) -> list[Text]:
 
 def ray_bars(readings: Floats) -> str:
     """A bar for each reading [R] in 0..1, from the driver's left to the right; a full one sees no wall."""
-    levels = np.clip((readings[::-1] * len(LEVELS)).astype(np.int64), 0, len(LEVELS) - 1)
+    levels = np.clip(readings[::-1] * len(LEVELS), 0, len(LEVELS) - 1).astype(np.int64)
     return "".join(LEVELS[level] for level in levels)
 
 

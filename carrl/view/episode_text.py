@@ -14,7 +14,7 @@ from carrl.record.scene import Floats
 from carrl.record.trace import EpisodeTrace
 from carrl.view.episode_geometry import steps_of
 from carrl.view.episode_table import step_table
-from carrl.view.terminal_chart import Chart, Ink, action_inks, map_chart, shows_colours
+from carrl.view.terminal_chart import Chart, Ink, action_inks, map_chart, shows_colours, span
 from carrl.view.viewer_palette import CAR, ERROR, GATE
 
 SIDE_BY_SIDE = 120
@@ -90,7 +90,11 @@ def _map(trace: EpisodeTrace, inks: list[Ink], width: int, rows: int) -> Group:
     chart.line(x, y, [inks[action] for action in (*trace.actions, trace.actions[-1])], joined=known)
     chart.line(x[:1], y[:1], START).line(x[-1:], y[-1:], end)
     samples = [START.sample("start"), *_legend(trace, inks), end.sample(END_NAMES[trace.ended])]
-    return Group(chart.text(), Text("  ").join(samples))
+    parts = [chart.text(), Text("  ").join(samples)]
+    off = int(np.count_nonzero(~trace.track.on_map(trace.poses[:, :2])))
+    if off:
+        parts.append(Text(f"{off:,} of {len(x):,} poses are off the map"))
+    return Group(*parts)
 
 
 def _legend(trace: EpisodeTrace, inks: list[Ink]) -> list[Text]:
@@ -132,4 +136,4 @@ def _span(values: Floats) -> tuple[float, float]:
     """From the least to the greatest finite value; a little more where they are the same."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
+    return span(low, high)

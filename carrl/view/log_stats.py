@@ -16,6 +16,8 @@ from carrl.record.messages import Episode
 from carrl.record.scene import Floats, Scene, TrackShape
 
 NO_EPISODE = "no episode has ended in this log, so there is nothing to say of returns, lengths, laps and crashes"
+GREATEST_RETURN = 1e300
+"""With greater ones, sums and differences would not be numbers."""
 CHUNK = 2**17
 """So many distances between places and points are held at a time; more would not fit into a processor's cache."""
 
@@ -68,8 +70,8 @@ class LogStats:
         )
         if not np.isin(stats.tracks, np.arange(len(scene.tracks))).all():
             raise LogError("the log has episodes on a track that is not attached; give the log of a run of carrl train")
-        if not (np.isfinite(stats.returns).all() and np.isfinite(stats.ends).all()):
-            raise LogError("the log has an episode whose return or end is no number; carrl log check FILE tells more")
+        if not ((np.abs(stats.returns) <= GREATEST_RETURN).all() and np.isfinite(stats.ends).all()):
+            raise LogError("the log has an episode whose return or end is no number; carrl log ls FILE shows which")
         return stats
 
     def __len__(self) -> int:
@@ -99,9 +101,20 @@ class LogStats:
         return np.flatnonzero(self.collided & (self.tracks == self.main_track))
 
     @cached_property
+    def crash_places(self) -> Floats:
+        """Where these cars crashed, but for those whose place is off the map, [K, 2], m."""
+        places = self.ends[self.crashes]
+        return places[self.track.on_map(places)]
+
+    @property
+    def off_the_map(self) -> int:
+        """How many crashed off the map."""
+        return len(self.crashes) - len(self.crash_places)
+
+    @cached_property
     def crashes_by_section(self) -> NDArray[np.int64]:
         """How many cars crashed in each section of the main track, [G]."""
-        return np.bincount(sections_at(self.track, self.ends[self.crashes]), minlength=len(self.track.gates))
+        return np.bincount(sections_at(self.track, self.crash_places), minlength=len(self.track.gates))
 
 
 def crowding(places: Floats, side: float) -> NDArray[np.int64]:

@@ -20,7 +20,7 @@ from carrl.view.action_colours import action_colours
 from carrl.view.curve_panel import RunCurve, common_bounds, draw_panel, legend_of
 from carrl.view.figure import BLUE, FAINT, INK, VERMILLION, YELLOW, new_figure, plain_axes, save_png
 from carrl.view.log_stats import NO_EPISODE, LogStats, crowding, distinct
-from carrl.view.terminal_chart import round_step
+from carrl.view.terminal_chart import round_step, span
 from carrl.view.wall_lines import connected_walls
 
 HEIGHT = 6.6
@@ -79,7 +79,7 @@ def _draw_lengths(axes: Axes, stats: LogStats) -> None:
     """Stacked by how the episodes ended."""
     plain_axes(axes)
     ends = [stats.lengths[stats.collided], stats.lengths[~stats.collided]]
-    edges = np.histogram_bin_edges(stats.lengths, bins=24).tolist()
+    edges = np.linspace(*span(float(stats.lengths.min()), float(stats.lengths.max())), 25).tolist()
     axes.hist(ends, edges, stacked=True, color=[VERMILLION, BLUE], label=["collision", "time limit"])
     axes.set_ylim(top=1.25 * axes.get_ylim()[1])
     axes.legend(frameon=False, fontsize=7, handlelength=1, loc="upper right")
@@ -118,12 +118,13 @@ def _draw_actions(axes: Axes, stats: LogStats) -> None:
 def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
     """Dots where cars crashed, coloured by how many did so near there."""
     _draw_track(axes, stats.track)
-    _title(axes, f"{len(stats.crashes):,} crashes on {stats.track_note}")
-    if not len(stats.crashes):
+    off = f", {stats.off_the_map:,} off the map" * (stats.off_the_map > 0)
+    _title(axes, f"{len(stats.crashes):,} crashes on {stats.track_note}{off}")
+    if not len(stats.crash_places):
         return
     left, bottom, right, top = stats.track.bounds
     side = round_step(max(right - left, top - bottom) / SQUARES)
-    places = stats.ends[stats.crashes]
+    places = stats.crash_places
     crowds = crowding(places, side)
     shown = distinct(places, side / DOTS_PER_SQUARE)
     shown = shown[np.argsort(crowds[shown])]

@@ -11,7 +11,7 @@ from rich.text import Text
 from carrl.record.scene import TrackShape
 from carrl.view.log_stats import NO_EPISODE, LogStats, crowding, distinct, section_name
 from carrl.view.terminal_bars import BarRow, bars, histogram
-from carrl.view.terminal_chart import Chart, Ink, action_inks, map_chart, round_step, shows_colours
+from carrl.view.terminal_chart import Chart, Ink, action_inks, map_chart, round_step, shows_colours, span
 from carrl.view.viewer_palette import CAR, ERROR, GATE, RAY, WARNING
 
 SIDE_BY_SIDE = 120
@@ -66,7 +66,7 @@ def _pairs(stats: LogStats, width: int, coloured: bool) -> list[tuple[Renderable
         (_return_curve(stats, width), actions),
         (histogram("return of an episode", stats.returns, width), histogram("its steps", stats.lengths, width)),
     ]
-    if len(stats.crashes):
+    if len(stats.crash_places):
         pairs.append((_crash_map(stats, width, coloured), _sections(stats, width)))
     return pairs
 
@@ -91,9 +91,7 @@ def _return_curve(stats: LogStats, width: int) -> Text:
     ends = np.cumsum([len(block) for block in blocks])
     each = len(blocks[0])
     chart = Chart(width, CHART_ROWS, f"return{f', mean of {each:,} episodes' if each > 1 else ''}")
-    low, high = float(means.min()), float(means.max())
-    margin = 0.5 * (high == low)
-    chart.axes((0, len(stats)), (low - margin, high + margin))
+    chart.axes((0, len(stats)), span(float(means.min()), float(means.max())))
     return chart.line(ends - (each - 1) / 2, means, Ink("braille")).text()
 
 
@@ -103,7 +101,7 @@ def _crash_map(stats: LogStats, width: int, coloured: bool) -> Group:
     inks = (
         [Ink("braille", colour) for colour in (CAR, WARNING, ERROR)] if coloured else [Ink(letter) for letter in "xX#"]
     )
-    places = stats.ends[stats.crashes]
+    places = stats.crash_places
     left, bottom, right, top = stats.track.bounds
     resolution = max(right - left, top - bottom) / 200
     crowds = crowding(places, 4 * resolution)
@@ -115,7 +113,10 @@ def _crash_map(stats: LogStats, width: int, coloured: bool) -> Group:
     _number_gates(chart, stats.track)
     samples = [START.sample("start"), *(ink.sample(name) for ink, name in zip(inks, AMOUNTS, strict=True))]
     legend = Text("  ").join(samples)
-    return Group(Text(f"where cars crashed on {stats.track_note}", "bold"), chart.text(), legend)
+    parts = [Text(f"where cars crashed on {stats.track_note}", "bold"), chart.text(), legend]
+    if stats.off_the_map:
+        parts.append(Text(f"{stats.off_the_map:,} crashed off the map"))
+    return Group(*parts)
 
 
 def _number_gates(chart: Chart, track: TrackShape) -> None:

@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from carrl.view.terminal_chart import Ink, round_step
+from carrl.view.terminal_chart import Ink, step_between
 
 PLAIN = Ink("braille")
 LEAST_WIDTH = 10
@@ -48,7 +48,7 @@ def bars(title: str, rows: Sequence[BarRow], width: int) -> Group:
 def histogram(title: str, values: NDArray[np.floating | np.integer], width: int, most: int = 10) -> Group:
     """How many of the values, of which there is at least one, lie in each interval between round numbers."""
     low, high = float(values.min()), float(values.max())
-    step = round_step((high - low) / most) if high > low else 1.0
+    step = step_between(low, high, most)
     step = max(step, 1.0) if np.issubdtype(values.dtype, np.integer) else step
     begin = math.floor(low / step)
     counts = np.bincount(np.floor(values / step).astype(np.int64) - begin)

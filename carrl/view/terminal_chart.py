@@ -21,6 +21,7 @@ from carrl.view.viewer_palette import ACTIONS, Colour
 from carrl.view.wall_lines import connected_walls
 
 Bounds = tuple[float, float]
+_LEAST_STEP = 1e-300
 DOTS = 2, 4
 """Dots of a braille character, across and down; they stand as far apart both ways, as characters are high."""
 
@@ -69,6 +70,7 @@ class Chart:
 
     def __init__(self, width: int, height: int, title: str | None = None) -> None:
         self._width, self._height = width, height
+        self._bounds: tuple[Bounds, Bounds] = (-math.inf, math.inf), (-math.inf, math.inf)
         # plotext's own figure and terminal are one for the whole process; these are nobody else's.
         terminal = type(plotext.terminal)().limit(False, False)
         self._figure = type(plotext.figure)(terminal).theme("colorless").plot_size(width, height).title(title)
@@ -77,7 +79,7 @@ class Chart:
     def line(
         self, x: ArrayLike, y: ArrayLike, ink: Ink | Sequence[Ink], joined: bool | NDArray[np.bool_] = True
     ) -> Self:
-        """Draws points, but none that is infinite or no number.
+        """Draws points, but none that is infinite, no number or outside of what the chart shows.
 
         Args:
             x: of each point, [N].
@@ -87,20 +89,25 @@ class Chart:
         """
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
         inks = [ink] * len(x) if isinstance(ink, Ink) else list(ink)
-        shown = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+        inside = self._is_inside(x, y)
+        shown = np.flatnonzero(inside)
         if not len(shown):  # plotext 6.1 divides by their number
             return self
         markers = {ink: _marker(ink) for ink in set(inks)}
         signal = self._figure.signal(
             x[shown].tolist(), y[shown].tolist(), marker=[markers[inks[point]] for point in shown]
         )
-        for index, is_joined in enumerate(np.broadcast_to(joined, len(x))[shown].tolist()):
+        # A line to a point far outside would be drawn dot by dot, however many that are.
+        outside = np.isfinite(x) & np.isfinite(y) & ~inside
+        is_joined_to = np.broadcast_to(joined, len(x)) & ~np.append(False, outside[:-1])
+        for index, is_joined in enumerate(is_joined_to[shown].tolist()):
             signal.line(index, is_joined)
         self._figure.draw(signal)
         return self
 
     def axes(self, x: Bounds, y: Bounds) -> Self:
         """Sets what the axes show, with round numbers beside them."""
+        self._bounds = x, y
         for name, (low, high), most in (("x", x, self._width // 12), ("y", y, self._height // 3)):
             ticks = round_ticks(low, high, max(1, most))
             self._figure.ruler(name).lim(low, high).ticks(ticks, [f"{tick:,.10g}" for tick in ticks])
@@ -108,10 +115,15 @@ class Chart:
 
     def bare(self, x: Bounds, y: Bounds) -> Self:
         """Sets what the whole chart shows, from edge to edge, without axes."""
+        self._bounds = x, y
         self._figure.axes(False)
         for name, bounds in (("x", x), ("y", y)):
             self._figure.ruler(name).lim(*bounds).alignment(lim="edge").frequency(0)
         return self
+
+    def _is_inside(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+        (left, right), (bottom, top) = self._bounds
+        return np.isfinite(x) & np.isfinite(y) & (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
 
     def text(self) -> Text:
         """The chart as lines of characters."""
@@ -139,8 +151,24 @@ def map_chart(track: TrackShape, width: int, height: int, ink: Ink) -> Chart:
 
 def round_ticks(low: float, high: float, most: int) -> list[float]:
     """Multiples of a round number from `low` to `high`, with at most so many spaces between them."""
-    step = round_step((high - low) / most)
+    step = step_between(low, high, most)
     return [step * number for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def step_between(low: float, high: float, most: int) -> float:
+    """A round number that is at most so many times between two others; 1 between equals, more where floats are sparse.
+
+    Neither the difference of two floats nor a part of it need be a float above 0.
+    """
+    least = high / most - low / most if high > low else 1.0
+    return round_step(max(least, math.ulp(low), math.ulp(high), _LEAST_STEP))
+
+
+def span(low: float, high: float) -> Bounds:
+    """These two, or a little to both sides of them where no chart could tell them apart."""
+    margin = 0.5 if high <= low else 0.0
+    least = 64 * max(math.ulp(low), math.ulp(high), _LEAST_STEP)
+    return (low, high) if high - low >= least else (low - max(margin, least), high + max(margin, least))
 
 
 def round_step(least: float) -> float:

@@ -22,6 +22,7 @@ from carrl.errors import DamagedLogError, LogError
 from carrl.log import Recovery, read_columns, recover, verify
 from carrl.record.codec import Batch, encode_small
 from carrl.record.log_file import begin_log
+from carrl.record.mcap_file import McapFile
 from carrl.record.messages import Episode, Metrics
 from carrl.record.metadata import describe
 from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
@@ -368,6 +369,29 @@ def test_a_target_that_exists_is_left_alone(own, tmp_path):
         recover(tmp_path / "own.mcap", tmp_path / "own.mcap")
     assert (tmp_path / "new.mcap").read_text() == "precious"
     assert (tmp_path / "own.mcap").read_bytes() == own.content
+
+
+def without_hard_links(*_):
+    raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+@pytest.mark.parametrize("link", [os.link, without_hard_links], ids=["hard links", "no hard links"])
+def test_of_two_recoveries_into_one_file_one_succeeds_and_the_other_is_refused(own, tmp_path, monkeypatch, link):
+    """The second one begins, and ends, while the first one is about to finish."""
+    monkeypatch.setattr("os.link", link)
+    finish, second = McapFile.finish, []
+
+    def finish_later(file):
+        monkeypatch.setattr(McapFile, "finish", finish)
+        second.append(recover(tmp_path / "own.mcap", tmp_path / "new.mcap"))
+        finish(file)
+
+    monkeypatch.setattr(McapFile, "finish", finish_later)
+    with pytest.raises(LogError, match=r"new\.mcap': is there already; give the name of a new file"):
+        recover(tmp_path / "own.mcap", tmp_path / "new.mcap")
+    assert [recovery.complete for recovery in second] == [True]
+    assert read_contents(tmp_path / "new.mcap") == own.says
+    assert {path.name for path in tmp_path.iterdir()} == {"own.mcap", "new.mcap"}
 
 
 @pytest.mark.parametrize("place", ["missing/new.mcap", "file/new.mcap", "a\0.mcap", "x" * 300])

@@ -100,7 +100,7 @@ def test_a_data_section_that_does_not_end_is_noticed(log_path):
     data_end = record_bytes(DataEnd(crc))
     assert whole[end : end + len(data_end)] == data_end
     other = bytes([0x7F]) + data_end[1:]
-    assert_damaged(log_path, whole.replace(data_end, other), "not a valid Opcode")
+    assert_damaged(log_path, whole.replace(data_end, other), "the summary has CRC")
 
 
 def test_an_intact_record_that_the_index_does_not_tell_of_is_noticed(log_path, monkeypatch):

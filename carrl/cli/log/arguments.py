@@ -3,10 +3,12 @@
 import argparse
 import math
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import TypeAlias
 
-from carrl.errors import LogError
-from carrl.record.reader import Selection
+from carrl.errors import CarrlError, LogError
+from carrl.record.selection import Selection
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]
@@ -63,6 +65,17 @@ def selection_of(arguments: argparse.Namespace) -> Selection:
     if begin is not None and end is not None and end <= begin:
         raise LogError(f"--end is {end:g} s; it must be later than --begin, {begin:g} s")
     return Selection(arguments.episode, arguments.env, begin, end)
+
+
+def check_output(out: Path, source: Path) -> None:
+    """Refuses to write a file over the log that it is made of, whatever both are called.
+
+    Raises:
+        CarrlError: they are one file.
+    """
+    with suppress(OSError, ValueError):  # whoever opens them says what is wrong
+        if out.samefile(source):
+            raise CarrlError(f"'{out}' is the log itself; choose another name")
 
 
 def whole_number(text: str) -> int:

@@ -13,8 +13,9 @@ from carrl.cli.log.terminal import counted, json_text
 from carrl.cli.log.transition_rows import transition_rows
 from carrl.errors import DamagedLogError, LogError
 from carrl.record.messages import Episode, Metrics
-from carrl.record.reader import EVERYTHING, Log, Selection
+from carrl.record.reader import Log
 from carrl.record.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
+from carrl.record.selection import EVERYTHING, Selection
 from carrl.record.trace import read_scene
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from carrl.errors import LogError
 from carrl.record.messages import Episode
-from carrl.record.reader import Log, Selection
+from carrl.record.reader import Log
+from carrl.record.selection import Selection
 from carrl.record.trace import EpisodeTrace, read_trace
 
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from carrl.cli.log import episode_files
-from carrl.cli.log.arguments import Verbs, add_selection, add_verb, selection_of
+from carrl.cli.log.arguments import Verbs, add_selection, add_verb, check_output, selection_of
 from carrl.cli.log.chosen_episode import choose_trace
 from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted
@@ -34,8 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     if ending not in {**log_table.WRITERS, **episode_files.WRITERS}:
         endings = ", ".join([*log_table.WRITERS, *episode_files.WRITERS])
         raise CarrlError(f"'{out}' has no ending that names a format; choose one of: {endings}")
-    if out.exists() and source.exists() and out.samefile(source):
-        raise CarrlError(f"'{out}' is the log itself; choose another name")
+    check_output(out, source)
     with Log(source) as log:
         content = _write_table(log, arguments) if ending in log_table.WRITERS else _write_episode(log, arguments)
     print(printable(f"{out}: {content}, {counted(out.stat().st_size, 'byte')}"))

@@ -16,12 +16,18 @@ def add_to(verbs: Verbs) -> None:
     description = "Writes a new log of all that is intact in one that was cut off or damaged, and tells what is lost."
     verb = add_verb(verbs, "recover", run, "salvage a log that was cut off or damaged", description)
     verb.add_argument("out", metavar="OUT", help="the new log; there must be no such file yet")
+    verb.add_argument(
+        "--run",
+        dest="wanted",
+        metavar="RUN",
+        help="which run, if the file holds several (default: that with the most transitions)",
+    )
     add_json(verb)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes the new log and says what is in it."""
-    recovery = recover(Path(arguments.file), Path(arguments.out))
+    recovery = recover(Path(arguments.file), Path(arguments.out), arguments.wanted)
     if arguments.json:
         print_json({"path": arguments.out, "complete": recovery.complete, **dataclasses.asdict(recovery)})
     else:
@@ -49,7 +55,23 @@ def _lost(recovery: Recovery) -> Iterator[str]:
         yield f"Lost: {counted(recovery.episodes_lost, 'ended episode')} before or between those salvaged."
     if recovery.chunks_lost:
         yield f"Lost: {counted(recovery.chunks_lost, 'chunk')} that the log's index tells of."
+    if recovery.messages_lost:
+        yield f"Lost: {counted(recovery.messages_lost, 'message')} that the log's statistics count."
     if recovery.metadata_lost:
         yield "Lost: the metadata, what the log said of its run; show, replay and pictures need it."
     if recovery.attachments_lost:
         yield f"Lost: {', '.join(recovery.attachments_lost)}."
+    yield from _left_out(recovery)
+
+
+def _left_out(recovery: Recovery) -> Iterator[str]:
+    if recovery.unchecked:
+        yield f"Not verified: {counted(recovery.unchecked, 'message')}, for which no checksum vouches."
+    if recovery.transitions_left_out:
+        yield f"Left out: {counted(recovery.transitions_left_out, 'transition')} that do not follow those salvaged."
+    if recovery.runs_left_out:
+        which = "run" if len(recovery.runs_left_out) == 1 else "the runs"
+        runs = f"{', '.join(recovery.runs_left_out):.200}"
+        yield f"Left out: all of {which} {runs}; salvage another run with --run RUN."
+    if recovery.others_left_out:
+        yield f"Left out, for it is not part of a log: {', '.join(recovery.others_left_out)}."

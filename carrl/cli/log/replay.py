@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from carrl.cli.log import episode_files
-from carrl.cli.log.arguments import Verbs, add_episode, add_verb
+from carrl.cli.log.arguments import Verbs, add_episode, add_verb, check_output
 from carrl.cli.log.chosen_episode import choose_trace
 from carrl.cli.log.printable import printable
 from carrl.errors import CarrlError
@@ -35,6 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Log(source) as log:
         trace = choose_trace(log, arguments.episode)
         out = out or _folder_beside(source) / f"episode-{trace.episode}{ending}"
+        check_output(out, source)
         episode_files.WRITERS[ending](out, trace, episode_files.episode_title(log, trace))
     print(printable(str(out)), flush=True)
     if not arguments.no_open:

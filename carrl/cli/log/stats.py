@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb
+from carrl.cli.log.arguments import Verbs, add_json, add_verb, check_output
 from carrl.cli.log.printable import printable_scene
 from carrl.cli.log.terminal import print_json
-from carrl.errors import CarrlError, DamagedLogError
+from carrl.errors import CarrlError, DamagedLogError, LogError
 from carrl.record.messages import Episode
 from carrl.record.reader import Log
 from carrl.record.scene import Scene
 from carrl.record.trace import read_scene
-from carrl.view.log_stats import LogStats, section_name
+from carrl.view.log_stats import GREATEST_RETURN, LogStats, section_name
 
 
 def add_to(verbs: Verbs) -> None:
@@ -34,6 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     picture, source = arguments.png, Path(arguments.file)
     if picture is not None and picture.suffix.lower() != ".png":
         raise CarrlError(f"--png is '{picture}'; the picture is a PNG, so its name must end in .png")
+    if picture is not None:
+        check_output(picture, source)
     with Log(source) as log:
         stats = _read_stats(log)
     if picture is not None:
@@ -73,17 +75,24 @@ def _read_stats(log: Log) -> LogStats:
             raise DamagedLogError(f"log '{log.path}': has an action without a name; give the log of a carrl train run")
         counts += np.bincount(actions, minlength=len(counts))
         random_choices += int(np.count_nonzero(batch.columns["exploratory"]))
-    if not _lie_within(episodes, scene):
-        raise DamagedLogError(f"log '{log.path}': an episode ended on no track; give the log of a carrl train run")
+    _check_episodes(log, episodes, scene)
     return LogStats.of(episodes, scene, counts, random_choices / max(1, int(counts.sum())))
 
 
-def _lie_within(episodes: Sequence[Episode], scene: Scene) -> bool:
-    """Whether each episode ended somewhere on an attached track, with a return that is a number."""
-    return all(
-        0 <= episode.track < len(scene.tracks) and all(map(math.isfinite, (episode.episode_return, *episode.end_pose)))
-        for episode in episodes
-    )
+def _check_episodes(log: Log, episodes: Sequence[Episode], scene: Scene) -> None:
+    """Raises an error unless each episode ended somewhere on an attached track, with a return that can be summed."""
+    for episode in episodes:
+        if not 0 <= episode.track < len(scene.tracks):
+            raise DamagedLogError(
+                f"log '{log.path}': episode {episode.episode} ended on track {episode.track}, which is not attached; "
+                "give the log of a carrl train run"
+            )
+        if not abs(episode.episode_return) <= GREATEST_RETURN or not all(map(math.isfinite, episode.end_pose)):
+            x, y, _ = episode.end_pose
+            raise LogError(
+                f"log '{log.path}': episode {episode.episode} has the return {episode.episode_return:g} and ended at "
+                f"{x:g} {y:g}; statistics need returns up to {GREATEST_RETURN:g} and finite places; see carrl log ls"
+            )
 
 
 def _document(stats: LogStats) -> dict[str, Any]:
@@ -125,5 +134,6 @@ def _crashes(stats: LogStats) -> dict[str, Any]:
     sections = enumerate(stats.crashes_by_section.tolist())
     return {
         "track_name": stats.track.name,
+        "off_the_map": stats.off_the_map,
         "sections": [{"between": section_name(section, gates), "count": count} for section, count in sections],
     }

@@ -6,7 +6,8 @@ from typing import TypeAlias
 
 from carrl.errors import CarrlError, LogError
 from carrl.files import appearing_whole
-from carrl.record.reader import Log, Selection
+from carrl.record.reader import Log
+from carrl.record.selection import Selection
 from carrl.view.log_table.csv_file import write_csv
 from carrl.view.log_table.npz_file import write_npz
 from carrl.view.log_table.parquet_file import write_parquet

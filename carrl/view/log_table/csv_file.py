@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.record.reader import Log, Selection
+from carrl.record.reader import Log
+from carrl.record.selection import Selection
 from carrl.view.log_table.table_columns import table_columns
 
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from carrl.record.reader import Log, Selection
+from carrl.record.reader import Log
+from carrl.record.selection import Selection
 
 
 def write_npz(path: Path, log: Log, selection: Selection) -> int:

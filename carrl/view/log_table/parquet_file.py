@@ -7,7 +7,8 @@ from typing import Any
 from carrl.errors import CarrlError
 from carrl.record.codec import Columns
 from carrl.record.metadata import ATTACHMENT, CHECKSUM
-from carrl.record.reader import Log, Selection
+from carrl.record.reader import Log
+from carrl.record.selection import Selection
 from carrl.view.log_table.table_columns import TableColumn, table_columns
 
 GROUP_ROWS = 2**17

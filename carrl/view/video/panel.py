@@ -112,11 +112,12 @@ class Panel:
         """The return over the whole episode, and in colour up to now, [0, T]."""
         now = np.interp(progress, np.arange(len(self._returns)), self._returns)
         y = _draw_heading(canvas, y, "return", f"{self._returns[int(progress)]:,.4g}", bold=True)
-        low, high = self._returns.min(), max(self._returns.max(), self._returns.min() + 1e-9)
+        finite = self._returns[np.isfinite(self._returns)]
+        low, extent = finite.min(), max(finite.max() - finite.min(), 1e-9)
         height, width = HEIGHT - 24 - y - 16, RIGHT - LEFT
 
         def places(steps: Floats, returns: Floats) -> Floats:
-            heights = (returns - low) / (high - low) * height
+            heights = np.nan_to_num((returns - low) / extent).clip(0, 1) * height
             return np.column_stack([LEFT + steps / len(self.trace) * width, HEIGHT - 24 - heights])
 
         steps = np.arange(len(self._returns), dtype=np.float64)

@@ -9,12 +9,15 @@ from foxglove import Schema
 from foxglove.messages import Color, Point3, Pose, Quaternion, Timestamp, Vector3
 from numpy.typing import NDArray
 
+from carrl.errors import CarrlError
 from carrl.record.scene import Floats
 from carrl.record.trace import EpisodeTrace
 from carrl.view.viewer_palette import Colour
 
 WORLD_FRAME, CAR_FRAME = "world", "car"
 """The frames: metres with y to the left of x; and the car's, x ahead."""
+MOST_NS = 2**32 * 10**9
+"""Before which a time of Foxglove's lies, whose seconds have 32 bits."""
 
 
 class FoxgloveMessage(Protocol):
@@ -51,8 +54,17 @@ class Entry:
 
 
 def times_ns(trace: EpisodeTrace) -> list[int]:
-    """Simulated time since the start of the run, before each step and after the last, [T + 1], ns."""
+    """Simulated time since the start of the run, before each step and after the last, [T + 1], ns.
+
+    Raises:
+        CarrlError: Foxglove's times do not reach so far.
+    """
     times: NDArray[np.int64] = np.round(trace.times * 1e9).astype(np.int64)
+    if times.min() < 0 or times.max() >= MOST_NS:
+        raise CarrlError(
+            f"episode {trace.episode} ends at {trace.times[-1]:,.0f} s of simulated time; a log for Foxglove can tell "
+            f"times from 0 to {MOST_NS // 10**9:,} s; take another format, such as .html"
+        )
     return times.tolist()
 
 

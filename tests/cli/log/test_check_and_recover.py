@@ -6,6 +6,8 @@ import pytest
 
 import carrl.log
 from carrl.cli.main import main
+from tests.cli.log.conftest import write_log
+from tests.record.rewriting import rewrite
 
 
 @pytest.fixture
@@ -88,15 +90,22 @@ def test_what_was_salvaged_is_told_in_json(run, cut_log, tmp_path):
 
 
 def test_each_kind_of_loss_has_its_sentence(run, log_path, tmp_path, monkeypatch):
-    loss = carrl.log.Recovery(True, 9, 2, 1, 1_200, 3, True, ("config.yaml",), ("track.json",), 2)
-    monkeypatch.setattr("carrl.cli.log.recover.recover", lambda source, target: loss)
+    loss = carrl.log.Recovery(
+        True, 9, 2, 1, 1_200, 3, True, ("config.yaml",), ("track.json",), 2, 4, 20, 5, ("0a", "0b"), ("topic '/notes'",)
+    )
+    monkeypatch.setattr("carrl.cli.log.recover.recover", lambda source, target, run: loss)
     assert run("recover", log_path, "new.mcap").splitlines() == [
         "new.mcap: salvaged 9 transitions, 2 ended episodes, 1 message of metrics, with config.yaml.",
         "Lost: 1,200 transitions before or between those salvaged.",
         "Lost: 3 ended episodes before or between those salvaged.",
         "Lost: 2 chunks that the log's index tells of.",
+        "Lost: 4 messages that the log's statistics count.",
         "Lost: the metadata, what the log said of its run; show, replay and pictures need it.",
         "Lost: track.json.",
+        "Not verified: 5 messages, for which no checksum vouches.",
+        "Left out: 20 transitions that do not follow those salvaged.",
+        "Left out: all of the runs 0a, 0b; salvage another run with --run RUN.",
+        "Left out, for it is not part of a log: topic '/notes'.",
     ]
 
 
@@ -111,3 +120,17 @@ def test_nothing_of_a_log_gives_nothing(refused, tmp_path):
     (tmp_path / "a.mcap").write_text("not a log")
     assert "holds nothing of a CarRL log" in refused("recover", tmp_path / "a.mcap", tmp_path / "b.mcap", "--json")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_of_two_logs_in_one_file_each_is_recovered_by_the_name_of_its_run(capsys, run, log_path, tmp_path):
+    other = write_log(tmp_path / "other.mcap")
+    merged = rewrite(log_path, tmp_path / "merged.mcap", other)
+    for verb in ("check", "ls", "info"):
+        assert main(["log", verb, str(merged)]) == 2
+        assert "holds 2 logs merged into one file" in capsys.readouterr().err
+    for number, path in enumerate((log_path, other)):
+        name = carrl.log.read_metadata(path)["run"]
+        lines = run("recover", merged, tmp_path / f"{number}.mcap", "--run", name).splitlines()
+        assert "salvaged 54 transitions, 5 ended episodes, 3 messages of metrics" in lines[0]
+        assert lines[1].startswith("Left out: all of run ")
+        assert carrl.log.read_metadata(tmp_path / f"{number}.mcap")["run"] == name

@@ -212,3 +212,22 @@ def test_an_export_that_fails_half_way_leaves_the_old_file(refused, log_path, tm
     assert "cannot be written: No space left on device" in refused("export", log_path, tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text() == "old"
     assert os.listdir(tmp_path) == ["a.csv"]
+
+
+@pytest.mark.parametrize("link", ["hardlink_to", "symlink_to", None])
+@pytest.mark.parametrize(("ending", "verb"), [(".html", "replay"), (".png", "stats"), (".csv", "export")])
+def test_no_verb_writes_over_the_log_that_it_reads(refused, log_path, tmp_path, ending, verb, link):
+    log, out = tmp_path / f"a{ending}", tmp_path / f"b{ending}"
+    log.write_bytes(log_path.read_bytes())
+    if link:
+        getattr(out, link)(log)
+    out = out if link else log
+    flags = {"replay": ["--no-open", "--output", out], "stats": ["--png", out], "export": [out]}[verb]
+    assert "is the log itself; choose another name" in refused(verb, log, *flags)
+    assert log.read_bytes() == log_path.read_bytes()
+
+
+def test_the_default_page_of_a_replay_is_not_written_over_the_log(refused, log_path, tmp_path):
+    log = tmp_path / "episode-2.html"
+    log.write_bytes(log_path.read_bytes())
+    assert "is the log itself" in refused("replay", log, "--no-open")
