@@ -62,6 +62,10 @@ class _Reader:
     def drawing(self) -> DrawingFile:
         """What the file draws."""
         forms = [key for key in ("corners", "points") if key in self.values]
+        if not forms and {"image", "resolution"} <= self.values.keys():
+            raise self._error(
+                "this is a map of ROS, a picture without a centreline; CarRL reads .csv, .npy and drawings"
+            )
         if len(forms) != 1:
             raise self._error(f"it has {' and '.join(forms) or 'neither'}; it must have one of corners and points")
         keys = CORNER_KEYS if forms == ["corners"] else POINT_KEYS

@@ -202,6 +202,10 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         ("[" * 5000, "not a YAML text file"),
         ("!!python/object/apply:os.system ['true']", "line 1: this is not YAML: could not determine a constructor"),
         ("when: 2024-99-99", "not a YAML text file"),
+        (
+            "image: map.png\nresolution: 0.05\n",
+            "this is a map of ROS, a picture without a centreline; CarRL reads .csv",
+        ),
         (SIZES, "it has neither; it must have one of corners and points"),
         (SQUARE + RING + SIZES, "it has corners and points; it must have one of"),
         (SQUARE + SIZES + "colour: red", "unknown key colour; with corners the keys are corners, corner_radius, width"),
