@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import torch
 
 from carrl.cli.evaluation_table import print_evaluation
+from carrl.cli.road_warning import warn_of_roads
+from carrl.printable import printable
 from carrl.run.build import build_world
 from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
 from carrl.run.files import load_config, seed_folders
@@ -16,7 +19,7 @@ from carrl.run.folder import load_greedy_policy
 from carrl.run.plan import checked_seed
 from carrl.run.survey import Survey
 from carrl.run.tally import tally
-from carrl.sim.circuits import circuit_files
+from carrl.sim.circuits import Folder, load_folder
 from carrl.sim.track import Track
 
 Laps = list[list[Drive]]
@@ -32,7 +35,9 @@ def main(argv: list[str]) -> int:
         runs = runs[:1]  # of which the others differ in nothing that drives
     configs = [load_config(run) for run in runs]
     world = build_world(configs[0])
-    tracks = [track for name in arguments.track for track in _load_tracks(name)] or list(world.circuits.validation)
+    tracks, refused = _load_tracks(arguments.track)
+    tracks = tracks or list(world.circuits.validation)
+    warn_of_roads(tracks, world)
     survey = Survey(world, tracks, arguments.starts)
     policies = [
         _make_policy(arguments.policy, run, arguments.checkpoint, config)
@@ -44,6 +49,7 @@ def main(argv: list[str]) -> int:
         "run": arguments.run,
         "policy": arguments.policy,
         **_figures(tracks, laps, rule, world.vehicle.step_length),
+        **({"refused": refused} if refused else {}),
     }
     if len(runs) > 1:
         document["runs"] = [
@@ -77,9 +83,17 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _load_tracks(name: str) -> list[Track]:
-    path = Path(name)
-    return [Track.load(file) for file in circuit_files(path)] if path.is_dir() else [Track.load(name)]
+def _load_tracks(names: Sequence[str]) -> tuple[list[Track], dict[str, str]]:
+    """The tracks of these names, files and folders; and why files of a folder were left out, which it prints, too."""
+    tracks: list[Track] = []
+    refused: dict[str, str] = {}
+    for name in names:
+        found = load_folder(Path(name)) if Path(name).is_dir() else Folder([Track.load(name)], {})
+        tracks += found.tracks
+        refused |= {str(path): reason for path, reason in found.refused.items()}
+    for path, reason in refused.items():
+        print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
+    return tracks, refused
 
 
 def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:

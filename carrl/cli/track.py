@@ -12,8 +12,17 @@ from carrl.errors import TrackError
 from carrl.printable import printable
 
 if TYPE_CHECKING:
+    from carrl.sim.drivability import Car
     from carrl.sim.inspection import TrackReport
     from carrl.sim.track import Track
+
+CAR_FLAGS = (
+    ("body-radius", 0.5, "of the car, a disc that must fit"),
+    ("turn-radius", 7.2, "of the circle that the car drives"),
+    ("step-length", 1.0, "the car drives between two decisions"),
+    ("near-wall", 1.0, "where it counts as near a wall"),
+)
+"""Measures of the car that a road must suit, with their defaults."""
 
 
 def main(argv: list[str]) -> int:
@@ -33,15 +42,20 @@ def _parser() -> argparse.ArgumentParser:
             verb.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
         return verb
 
-    add_verb("list", _list, "the tracks that come with CarRL")
+    listing = add_verb("list", _list, "the tracks that come with CarRL, or those of folders")
+    listing.add_argument("folders", nargs="*", metavar="FOLDER", help="whose circuits to list, and those below it")
     show = add_verb("show", _show, "draw a track as a PNG", json_flag=False)
     show.add_argument("track", metavar="NAME|FILE", help="a built-in track, or a .csv, .yaml or .npy file")
     show.add_argument("--out", metavar="FILE.png", help="default: the track's name; an older picture is replaced")
     check = add_verb("check", _check, "measure tracks and find their faults; exit code 1 where there are any")
-    check.add_argument("tracks", nargs="+", metavar="NAME|FILE", help="a built-in track, or a .csv, .yaml or .npy file")
     check.add_argument(
-        "--body-radius", type=float, default=0.5, metavar="M", help="of the car, m (default %(default)s)"
+        "tracks",
+        nargs="+",
+        metavar="NAME|FILE|FOLDER",
+        help="a built-in track, a .csv, .yaml or .npy file, or a folder for all in it",
     )
+    for flag, of_default, what in CAR_FLAGS:
+        check.add_argument(f"--{flag}", type=float, metavar="M", help=f"{what}, m (default {of_default:g})")
     random = add_verb("random", _random, "draw random circuits and write each as a CSV file")
     random.add_argument("--seed", type=int, default=0, metavar="N", help="of the first circuit (default 0)")
     random.add_argument("--count", type=int, default=1, metavar="N", help="how many circuits, of seeds from there on")
@@ -66,16 +80,23 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _list(arguments: argparse.Namespace) -> int:
+    from carrl.sim.circuits import load_folder
     from carrl.sim.inspection import inspect_track
     from carrl.sim.track import Track, builtin_names
 
-    reports = [inspect_track(Track.load(name)) for name in builtin_names()]
+    folders = [load_folder(Path(folder)) for folder in arguments.folders]
+    refused = [reason for folder in folders for reason in folder.refused.values()]
+    tracks = [track for folder in folders for track in folder.tracks] or [Track.load(name) for name in builtin_names()]
+    reports = [inspect_track(track) for track in tracks]
+    for reason in refused:
+        print(f"carrl: {printable(reason)}", file=sys.stderr)
     if arguments.json:
         _print_json([_as_json(report) for report in reports])
-        return 0
-    header = ("track", "length", "width", "least radius", "gates")
-    _print_table("built-in tracks", header, [_row(report) for report in reports])
-    return 0
+    else:
+        header = ("track", "length", "width", "least radius", "gates")
+        title = ", ".join(arguments.folders) or "built-in tracks"
+        _print_table(title, header, [_row(report) for report in reports])
+    return 2 if refused else 0
 
 
 def _show(arguments: argparse.Namespace) -> int:
@@ -95,27 +116,58 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> int:
     """Checks every track even when one cannot be read, and returns the gravest exit code."""
+    from carrl.sim.drivability import unsuitable
     from carrl.sim.inspection import inspect_track
     from carrl.sim.track import Track
 
-    if not 0 < arguments.body_radius < float("inf"):
-        raise TrackError(f"--body-radius is {arguments.body_radius}; it must be a positive number of metres")
-    exit_code, documents = 0, []
-    for name in arguments.tracks:
+    car, is_given = _car(arguments)
+    exit_code = 0
+    documents: list[dict[str, Any]] = []
+    for name in _named(arguments.tracks):
         try:
-            report = inspect_track(Track.load(name), arguments.body_radius)
+            track = Track.load(name)
+            report = inspect_track(track, car.body_radius)
         except TrackError as error:
             exit_code = 2
             print(f"carrl: {printable(str(error))}", file=sys.stderr)
             documents.append({"path": name, "error": str(error)})
             continue
+        warnings = unsuitable(track, car) if report.width_min > 2 * car.body_radius else []
+        if is_given:
+            report, warnings = dataclasses.replace(report, faults=(*report.faults, *warnings)), []
         exit_code = max(exit_code, 1 if report.faults else 0)
-        documents.append({"path": name, **_as_json(report)})
+        documents.append({"path": name, **_as_json(report), "warnings": warnings})
         if not arguments.json:
-            _print_report(report)
+            _print_report(report, car, warnings)
     if arguments.json:
         _print_json(documents)
     return exit_code
+
+
+def _car(arguments: argparse.Namespace) -> tuple["Car", bool]:
+    """The car that is to drive, and whether more of it was said than its size; the default car is no fault of a road's.
+
+    Raises:
+        TrackError: a flag is no length.
+    """
+    from carrl.sim.drivability import Car
+
+    given = {}
+    for flag, _, _ in CAR_FLAGS:
+        name = flag.replace("-", "_")
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value < float("inf"):
+            raise TrackError(f"--{flag} is {value}; it must be a positive number of metres")
+        if value is not None:
+            given[name] = value
+    return Car(**given), bool(given.keys() - {"body_radius"})
+
+
+def _named(names: Sequence[str]) -> list[str]:
+    """The names with each folder replaced by the circuits in it."""
+    from carrl.sim.circuits import circuit_files
+
+    return [path for name in names for path in (map(str, circuit_files(Path(name))) if Path(name).is_dir() else [name])]
 
 
 def _random(arguments: argparse.Namespace) -> int:
@@ -174,19 +226,25 @@ def _print_json(document: Any) -> None:
 
 
 def _row(report: "TrackReport") -> tuple[str, ...]:
+    from carrl.sim.drivability import metres
+
     radii = [radius for radius in (report.least_radius_left, report.least_radius_right) if radius is not None]
-    radius = f"{min(radii):.1f} m" if radii else "none"
+    radius = metres(min(radii)) if radii else "none"
     return (report.name, f"{report.length:,.1f} m", _width(report), radius, str(report.gates))
 
 
 def _width(report: "TrackReport") -> str:
-    low, high = f"{report.width_min:.1f}", f"{report.width_max:.1f}"
-    return f"{low} m" if low == high else f"{low} to {high} m"
+    from carrl.sim.drivability import metres
+
+    low, high = metres(report.width_min), metres(report.width_max)
+    return low if low == high else f"{low.removesuffix(' m')} to {high}"
 
 
-def _print_report(report: "TrackReport") -> None:
+def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str]) -> None:
+    from carrl.sim.drivability import metres
+
     left, right = (
-        "no turns" if radius is None else f"{radius:.1f} m"
+        "no turns" if radius is None else metres(radius)
         for radius in (report.least_radius_left, report.least_radius_right)
     )
     bridges = [
@@ -198,15 +256,22 @@ def _print_report(report: "TrackReport") -> None:
         ("least radius, left", left),
         ("least radius, right", right),
         ("points of the centreline", f"{report.points:,}"),
+        ("repeated points left out", f"{report.repeats:,}"),
         ("walls", f"{report.walls:,}"),
         ("gates", f"{report.gates:,}"),
         ("bridges", "; ".join(bridges) or "none"),
         ("folds cut", f"{report.folds}"),
+        ("the car's turn radius", metres(car.turn_radius)),
+        ("its step", metres(car.step_length)),
+        ("its body radius", metres(car.body_radius)),
+        ("near a wall for it", metres(car.near_wall)),
         ("faults", f"{len(report.faults)}" if report.faults else "none"),
     ]
     _print_table(report.name, ("", ""), rows)
     for fault in report.faults:
         print(f"fault: {fault}")
+    for warning in warnings:
+        print(f"warning: for the default car, {warning}")
 
 
 def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

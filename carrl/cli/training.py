@@ -11,6 +11,7 @@ import torch
 import yaml
 from torchrl import logger as torchrl_logger
 
+from carrl.cli.road_warning import warn_of_roads
 from carrl.cli.signals import stopping_on_signals
 from carrl.config import build_node
 from carrl.errors import CarrlError, CheckpointError, ConfigError
@@ -71,6 +72,7 @@ def train(
             raise CheckpointError(f"run '{path}': the state does not fit the run's configuration: {error}") from error
         if state is not None:
             session.trainer.load_state_dict(state)
+        warn_of_roads(session.learning.world.circuits.all, session.learning.world)
         shown = display or session.display
         with stopping_on_signals(session.trainer), shown, suppress(KeyboardInterrupt):
             session.trainer.run(shown)

@@ -1,12 +1,18 @@
 """The circuits that a policy is trained on, and those on which training tries out how well it drives."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 from carrl.errors import TrackError
 from carrl.sim.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
 from carrl.sim.track import Track
+
+_logger = logging.getLogger(__name__)
 
 CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
 """Endings of the files of a folder that are taken for circuits."""
@@ -31,6 +37,11 @@ class Circuits:
     def only(track: Track) -> "Circuits":
         """One track to learn and to be tried out on."""
         return Circuits((track,), (track,))
+
+    @property
+    def all(self) -> tuple[Track, ...]:
+        """Each of them once."""
+        return tuple(dict.fromkeys((*self.training, *self.validation)))
 
     @property
     def name(self) -> str:
@@ -64,7 +75,8 @@ def make_circuits(
         widening: how much wider either half of a random road may be in places, as a share.
         corner_spacing: about how far corners stand apart, in least radii.
         hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
-        folder: whose circuits to learn on, too; None for none.
+        folder: whose circuits, and those of folders below it, to learn on, too; None for none. Files in it that
+            cannot be read are left out, with a warning for each.
 
     Raises:
         TrackError: there is no circuit to learn on or for trials, there are too many, or one cannot be drawn or read.
@@ -78,26 +90,73 @@ def make_circuits(
         Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing, hairpins)
         for each in range(seed, seed + count + validation)
     ]
-    named = [] if folder is None else [Track.load(path, gate_spacing) for path in circuit_files(Path(folder))]
+    named = [] if folder is None else _load_or_warn(Path(folder), gate_spacing)
     training = (*drawn[:count], *named)
     if not training:
         raise TrackError("track.count is 0 and track.folder names no folder; give at least one circuit to learn on")
     return Circuits(training, tuple(drawn[count:]))
 
 
+def _load_or_warn(folder: Path, gate_spacing: float | None) -> list[Track]:
+    tracks, refused = load_folder(folder, gate_spacing)
+    for path, reason in refused.items():
+        _logger.warning("left out '%s': %s", path, reason)
+    return tracks
+
+
+class Folder(NamedTuple):
+    """What a folder holds.
+
+    Attributes:
+        tracks: its circuits, those in folders below it named by their path from there.
+        refused: of each file that is none, its path and the sentence that says why.
+    """
+
+    tracks: list[Track]
+    refused: dict[Path, str]
+
+
+def load_folder(folder: Path, gate_spacing: float | None = None) -> Folder:
+    """Loads all circuits of a folder and of those below it, and tells which files could not be read.
+
+    Raises:
+        TrackError: none of them could be read, there are too many, or there is no such folder.
+    """
+    tracks, refused = [], {}
+    for path in circuit_files(folder):
+        try:
+            track = Track.load(path, gate_spacing)
+        except TrackError as error:
+            refused[path] = str(error)
+        else:
+            tracks.append(replace(track, name=path.relative_to(folder).as_posix()))
+    if not tracks:
+        reasons = "; ".join(refused.values())
+        raise TrackError(f"folder '{folder}' has no file that can be read as a track: {reasons}")
+    return Folder(tracks, refused)
+
+
 def circuit_files(folder: Path) -> list[Path]:
-    """The files of a folder that are taken for circuits, in the order of their names.
+    """The files of a folder, and of those below it that are not hidden, that are taken for circuits, in order.
 
     Raises:
         TrackError: there is none, too many, or no such folder.
     """
-    try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in CIRCUIT_FILES and path.is_file())
-    except OSError as error:
-        raise TrackError(f"folder '{folder}' cannot be read: {error.strerror}; name a folder of circuits") from error
+    found = sorted(islice(_files_below(folder), MOST_CIRCUITS + 1))
     if not 0 < len(found) <= MOST_CIRCUITS:
+        count = f"more than {MOST_CIRCUITS}" if found else "0"
         raise TrackError(
-            f"folder '{folder}' has {len(found)} files that end in {', '.join(CIRCUIT_FILES)}; "
+            f"folder '{folder}' has {count} files that end in {', '.join(CIRCUIT_FILES)}; "
             f"it must have at least one and at most {MOST_CIRCUITS}"
         )
     return found
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    def refuse(error: OSError) -> None:
+        raise TrackError(f"folder '{error.filename}' cannot be read: {error.strerror}; name a folder of circuits")
+
+    for path, folders, names in os.walk(folder, onerror=refuse):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        files = (Path(path, name) for name in names if not name.startswith("."))
+        yield from (file for file in files if file.suffix.lower() in CIRCUIT_FILES and file.is_file())

@@ -12,7 +12,7 @@ from shapely import LinearRing, Polygon
 
 from carrl.errors import TrackError, shown
 from carrl.plain_yaml import parse_yaml
-from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, drop_closing_point, repeated_point
+from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, repeated_point, without_repeats
 from carrl.sim.drawing import rounded_polygon, smooth_curve
 from carrl.sim.file_content import read_content
 
@@ -62,6 +62,10 @@ class _Reader:
     def drawing(self) -> DrawingFile:
         """What the file draws."""
         forms = [key for key in ("corners", "points") if key in self.values]
+        if not forms and {"image", "resolution"} <= self.values.keys():
+            raise self._error(
+                "this is a map of ROS, a picture without a centreline; CarRL reads .csv, .npy and drawings"
+            )
         if len(forms) != 1:
             raise self._error(f"it has {' and '.join(forms) or 'neither'}; it must have one of corners and points")
         keys = CORNER_KEYS if forms == ["corners"] else POINT_KEYS
@@ -77,7 +81,7 @@ class _Reader:
         return DrawingFile(centreline, self._gates(LinearRing(centreline.points).length), spacing)
 
     def _polygon(self) -> Centreline:
-        corners = self._table("corners", (2,), "[x, y]")
+        corners, repeats = self._table("corners", (2,), "[x, y]")
         if len(corners) > MAX_CORNERS:
             raise self._error(f"{len(corners)} corners; it may have at most {MAX_CORNERS}, so use points")
         radius, width = self._number("corner_radius"), self._number("width")
@@ -88,17 +92,17 @@ class _Reader:
             raise self._error(
                 f"corner_radius is {radius:g} m, and the road between the corners has no room for it; make it smaller"
             )
-        return Centreline(points, *_half_widths(np.full(len(points), width)))
+        return Centreline(points, *_half_widths(np.full(len(points), width)), repeats)
 
     def _line(self) -> Centreline:
         smooth = self.values.get("smooth", True)
         if not isinstance(smooth, bool):
             raise self._error(f"smooth is {shown(smooth)}; it must be true or false")
         if "width" in self.values:
-            table = self._table("points", (2,), "[x, y], since width is given")
+            table, repeats = self._table("points", (2,), "[x, y], since width is given")
             table = np.column_stack([table, np.full(len(table), self._number("width"))])
         else:
-            table = self._table("points", (3,), "[x, y, width], or width must be given beside them")
+            table, repeats = self._table("points", (3,), "[x, y, width], or width must be given beside them")
             bad = np.flatnonzero(table[:, 2] <= 0)
             if len(bad) > 0:
                 raise self._error(f"points: row {bad[0] + 1}: width is {table[bad[0], 2]:g} m; widths must be positive")
@@ -107,7 +111,7 @@ class _Reader:
             widths = table[:, 2]
             table = smooth_curve(table, spacing)
             table[:, 2] = table[:, 2].clip(widths.min(), widths.max())  # The curve through the widths may overshoot.
-        return Centreline(table[:, :2], *_half_widths(table[:, 2]))
+        return Centreline(table[:, :2], *_half_widths(table[:, 2]), repeats)
 
     def _spacing(self, points: np.ndarray, detail: float) -> float:
         """Distance between the centreline's points that shows details of this size, m."""
@@ -120,7 +124,8 @@ class _Reader:
             )
         return max(spacing, 2 * MIN_STEP)
 
-    def _table(self, key: str, columns: tuple[int, ...], form: str) -> np.ndarray:
+    def _table(self, key: str, columns: tuple[int, ...], form: str) -> tuple[np.ndarray, int]:
+        """The rows of a list without those that repeat a point, and how many these were."""
         rows = self.values[key]
         if not isinstance(rows, list):
             raise self._error(f"{key} is {shown(rows)}; it must be a list with a row {form} for each")
@@ -129,16 +134,10 @@ class _Reader:
                 raise self._error(f"{key}: row {number} is {shown(row)}; it must be {form}")
             for name, value in zip(("x", "y", "width"), row, strict=False):
                 self._check_number(f"{key}: row {number}: {name}", value)
-        table = drop_closing_point(np.array(rows, dtype=np.float64))
+        table, repeats = without_repeats(np.array(rows, dtype=np.float64))
         if len(table) < MIN_POINTS:
             raise self._error(f"{len(table)} {key}; a closed road needs at least {MIN_POINTS}")
-        first = repeated_point(table[:, :2])
-        if first is not None:
-            raise self._error(
-                f"{key}: rows {first + 1} and {(first + 1) % len(table) + 1} repeat a point, or nearly; keep one of "
-                f"the two, since points must stand at least {MIN_STEP} m apart"
-            )
-        return table
+        return table, repeats
 
     def _number(self, key: str, least: float = MIN_STEP) -> float:
         if key not in self.values:

@@ -75,12 +75,12 @@ def _loops(wall: np.ndarray, steps: np.ndarray) -> list[tuple[int, int]]:
     ends = np.roll(wall, -1, axis=0)
     walls = segments_of(wall)
 
+    along = np.concatenate([[0], np.linalg.norm(ends - wall, axis=1).cumsum()])
+
     def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        # Walls of a fold that was cut meet where they end.
-        meet_at_end = [
-            (here == there).all(axis=1) for here in (wall[one], ends[one]) for there in (wall[other], ends[other])
-        ]
-        return np.asarray((other - one > 1) & (other - one < count - 1) & ~np.any(meet_at_end, axis=0))
+        # Walls of a fold that was cut meet where they end, with nothing but walls without length between them.
+        between, around = along[other] - along[one + 1], along[-1] - along[other + 1] + along[one]
+        return np.asarray((other - one > 1) & (between > 0) & (around > 0))
 
     crossings = find_crossings(walls, walls, apart)
     check_crossings(crossings)

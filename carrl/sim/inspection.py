@@ -3,6 +3,7 @@
 Shapes: `P` points of the centreline, `S` walls, `G` gates, `K` pairs. A *station* is a distance along the centreline.
 """
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 import shapely
 
 from carrl.sim.bridges import Bridge, on_two_levels
+from carrl.sim.centreline import gap_of, normals, segment_normals, turns
 from carrl.sim.crossings import find_crossings
 from carrl.sim.folds import count_folds
 
@@ -23,6 +25,8 @@ MOST_PAIRS = 2**14
 """Of lines that cross, of a kind, after which no more are looked for."""
 _SAME_PLACE = 25.0
 """Faults of a kind within this distance along the road are told as one, m."""
+_CORNER = math.radians(20)
+"""A turn at one point from which on the road is measured on both sides of it, rad."""
 _GATE_END = 0.02
 """A gate begins and ends on walls, so this share at both its ends does not count as crossing them."""
 
@@ -34,11 +38,12 @@ class TrackReport:
     Attributes:
         name: of the track.
         length: of the centreline, m.
-        width_min: least distance between the two walls beside a point of the centreline, m.
+        width_min: least distance between the two walls beside a point of the centreline, square to the road, m.
         width_max: the largest one, m.
         least_radius_left: of the centreline in turns to the left, m; None where it has none.
         least_radius_right: in turns to the right.
         points: of the centreline.
+        repeats: how many more the file had that repeated the one before.
         walls: how many.
         gates: how many.
         bridges: where the road crosses itself.
@@ -53,6 +58,7 @@ class TrackReport:
     least_radius_left: float | None
     least_radius_right: float | None
     points: int
+    repeats: int
     walls: int
     gates: int
     bridges: tuple[Bridge, ...]
@@ -68,8 +74,8 @@ def inspect_track(track: "Track", body_radius: float = BODY_RADIUS) -> TrackRepo
         body_radius: of the car that must fit through, m.
     """
     left, right = track.left_wall.double().numpy(), track.right_wall.double().numpy()
-    widths = np.linalg.norm(left - right, axis=1)
-    curvature = _curvature(track.centreline.double().numpy())
+    centreline = track.centreline.double().numpy()
+    widths, curvature = road_widths(centreline, left, right), _curvature(centreline)
     return TrackReport(
         name=track.name,
         length=track.length,
@@ -78,12 +84,22 @@ def inspect_track(track: "Track", body_radius: float = BODY_RADIUS) -> TrackRepo
         least_radius_left=_radius(curvature.max()),
         least_radius_right=_radius(-curvature.min()),
         points=len(track.centreline),
+        repeats=track.repeats,
         walls=len(track.walls),
         gates=track.gate_count,
         bridges=track.bridges,
         folds=count_folds(left) + count_folds(right),
         faults=tuple(_find_faults(track, widths, body_radius)),
     )
+
+
+def road_widths(centreline: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """From wall to wall beside each point, square to the road, at a corner to the narrower side of it: [P], m."""
+    across, square = left - right, segment_normals(centreline)
+    after = np.abs((across * square).sum(axis=1))
+    before = np.abs((across * np.roll(square, 1, axis=0)).sum(axis=1))
+    abreast = np.abs((across * normals(centreline)).sum(axis=1))
+    return np.where(np.abs(turns(centreline)) > _CORNER, np.minimum(before, after), abreast)
 
 
 def _curvature(points: np.ndarray) -> np.ndarray:
@@ -101,7 +117,8 @@ def _radius(curvature: float) -> float | None:
 
 def _find_faults(track: "Track", widths: np.ndarray, body_radius: float) -> list[str]:
     lines = _Lines(track)
-    faults = []
+    gap = gap_of(track.centreline.double().numpy())
+    faults = [] if gap is None else [gap]
     narrowest = int(widths.argmin())
     if widths[narrowest] <= 2 * body_radius:
         faults.append(

@@ -18,7 +18,7 @@ from torch import Tensor
 from carrl.errors import TrackError
 from carrl.sim import builtin
 from carrl.sim.bridges import Bridge, check_road, find_bridges
-from carrl.sim.centreline import Centreline
+from carrl.sim.centreline import Centreline, gap_of
 from carrl.sim.csv_file import read_csv
 from carrl.sim.drawing_file import MIN_GATE_SPACING, read_drawing
 from carrl.sim.folds import cut_folds
@@ -44,6 +44,7 @@ class Track:
         right_wall: the right wall at each centreline point, [P, 2], float32, m.
         gate_count: how many gates, evenly spaced; the last one is the start line, so passing it completes a lap.
         bridges: where the road crosses itself.
+        repeats: how many points of its file were left out, since they repeated the one before.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Track:
     right_wall: Tensor
     gate_count: int
     bridges: tuple[Bridge, ...] = ()
+    repeats: int = 0
 
     @staticmethod
     def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
@@ -60,7 +62,7 @@ class Track:
         Args:
             name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
                 an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. Any other: CSV with the
-                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database.
+                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
             gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
                 drawing has, and else `DEFAULT_GATE_SPACING`.
 
@@ -80,7 +82,11 @@ class Track:
             )
         ending = path.suffix.lower()
         if ending == ".npy":
-            return Track.from_walls(path.name, *read_waypoints(path), gate_spacing or DEFAULT_GATE_SPACING)
+            road = read_waypoints(path)
+            track = Track.from_walls(
+                path.name, road.centre, road.left, road.right, gate_spacing or DEFAULT_GATE_SPACING
+            )
+            return replace(track, repeats=road.repeats)
         if ending in (".yaml", ".yml"):
             file = read_drawing(path)
             return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, file.gate_spacing)
@@ -146,7 +152,8 @@ class Track:
         Raises:
             TrackError: the centreline crosses itself where no bridge can be made of it.
         """
-        return Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
+        track = Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
+        return replace(track, repeats=centreline.repeats)
 
     @staticmethod
     def from_walls(
@@ -162,15 +169,22 @@ class Track:
         Raises:
             TrackError: the centreline crosses itself where no bridge can be made of it.
         """
-        check_road(centreline)
-        left, right = cut_folds(left_wall, centreline), cut_folds(right_wall, centreline)
+        try:
+            check_road(centreline)
+            left, right = cut_folds(left_wall, centreline), cut_folds(right_wall, centreline)
+            bridges = find_bridges(name, centreline, left, right)
+        except TrackError as error:
+            gap = gap_of(centreline, leads_astray=True)
+            if gap is None:
+                raise
+            raise TrackError(f"track '{name}': {gap}") from error
         return Track(
             name=name,
             centreline=_as_tensor(centreline),
             left_wall=_as_tensor(left),
             right_wall=_as_tensor(right),
             gate_count=gate_count or max(3, round(_ring_length(centreline) / gate_spacing)),
-            bridges=find_bridges(name, centreline, left, right),
+            bridges=bridges,
         )
 
     def mirrored(self) -> "Track":

@@ -8,42 +8,56 @@ import math
 import tokenize
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from carrl.errors import TrackError
-from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, MOST_POINTS, drop_closing_point, repeated_point
+from carrl.sim.borders import cut_abreast
+from carrl.sim.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, without_repeats
 from carrl.sim.file_content import read_content
 
 COLUMNS = ("centre x", "centre y", "inner x", "inner y", "outer x", "outer y")
 
 
-def read_waypoints(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Reads the centreline, the left wall and the right wall, [P, 2] each, m, in driving order.
+class Waypoints(NamedTuple):
+    """A road as its file gives it, in driving order.
+
+    Attributes:
+        centre: of the road, [P, 2], m.
+        left: the left wall beside each of its points, [P, 2], m.
+        right: the right wall, [P, 2], m.
+        repeats: how many rows were left out, since they repeated the one before.
+    """
+
+    centre: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    repeats: int
+
+
+def read_waypoints(path: Path) -> Waypoints:
+    """Reads the centreline and both walls of a road.
 
     The inner border is the left one or the right one, depending on the sense of rotation. A last row that repeats the
-    first is dropped.
+    first is dropped, and so are rows that repeat the one before. Borders whose rows do not stand abreast of the
+    centre's are cut with its normals.
 
     Raises:
         TrackError: the file is not such an array, or a value in it cannot be a road's.
     """
-    table = drop_closing_point(_checked(path, _read_array(path)))
+    table, repeats = without_repeats(_checked(path, _read_array(path)))
     if len(table) < MIN_POINTS:
         raise TrackError(f"track '{path.name}': {len(table)} points; a closed road needs at least {MIN_POINTS}")
     centre, inner, outer = table[:, 0:2], table[:, 2:4], table[:, 4:6]
-    first = repeated_point(centre)
-    if first is not None:
-        raise TrackError(
-            f"track '{path.name}': rows {first + 1} and {(first + 1) % len(table) + 1} repeat a point, or nearly; "
-            f"keep one of the two, since points must stand at least {MIN_STEP} m apart"
-        )
     inner_is_left, outer_is_left = _is_left(centre, inner), _is_left(centre, outer)
     if inner_is_left == outer_is_left:
         raise TrackError(
             f"track '{path.name}': both borders lie on the same side of the centre; "
             f"the columns must be {', '.join(COLUMNS)}"
         )
-    return (centre, inner, outer) if inner_is_left else (centre, outer, inner)
+    left, right = (inner, outer) if inner_is_left else (outer, inner)
+    return Waypoints(centre, cut_abreast(centre, left, True), cut_abreast(centre, right, False), repeats)
 
 
 def _is_left(centre: np.ndarray, border: np.ndarray) -> bool:

@@ -9,6 +9,7 @@ import textwrap
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -128,7 +129,8 @@ def _draw_start(track_map: TrackMap, track: Track) -> Floats:
     axes.plot(*line.T, color=INK, linewidth=width, solid_capstyle="butt", zorder=3.5)
     axes.plot(*line.T, color=GATE, linewidth=width, linestyle=(0, (1.2, 1.2)), dash_capstyle="butt", zorder=3.6)
     across = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-    forward = np.array([-across[1], across[0]]) / track_map.scale
+    heading = track.pose_at(torch.zeros(1))[0, 2].item()  # not square to the line where that stands in a corner
+    forward = np.array([math.cos(heading), math.sin(heading)]) / track_map.scale
     # The word stands before the arrow; it is wider than high, so it needs more room where it meets something sideways.
     behind, aside = 6 + 9 * abs(across[1]), 9 + 5 * abs(across[0])
     places = _beside(track_map, line, aside)

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from carrl.errors import TrackError
 from carrl.sim.centreline import Centreline
 from carrl.sim.inspection import MOST_FAULTS_OF_A_KIND, inspect_track
 from carrl.sim.track import Track, builtin_names
@@ -71,3 +72,38 @@ def test_many_faults_of_a_kind_are_told_as_a_few_sentences():
     crossing = [fault for fault in faults if fault.startswith("the walls cross each other")]
     assert len(crossing) == MOST_FAULTS_OF_A_KIND + 1
     assert crossing[-1] == "the walls cross each other at 7 more places"
+
+
+def arc(laps: float, wobble: float = 0.0) -> Centreline:
+    """So many laps of a ring of 60 m, points 2.5 m apart, whose radius may change from lap to lap by a share."""
+    angle = np.arange(0, 2 * np.pi * laps, 2.5 / 60)
+    radius = 60 * (1 + wobble * np.sin(angle / laps))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    return Centreline(points, *np.full((2, len(points)), 4.0))
+
+
+def test_a_line_that_is_not_closed_is_a_fault_with_its_gap():
+    (fault,) = inspect_track(Track.from_centreline("open", arc(0.9))).faults
+    assert fault == (
+        "the centreline is not closed: its last point is 38.78 m from its first, and other neighbours are at most "
+        "2.50 m apart; draw it back to its first point, with points on the way"
+    )
+
+
+@pytest.mark.parametrize("laps", [0.97, 1.0])
+def test_a_gap_of_a_few_steps_is_no_fault(laps: float):
+    assert inspect_track(Track.from_centreline("ring", arc(laps))).faults == ()
+
+
+@pytest.mark.parametrize("wobble", [0.0, 0.01])
+@pytest.mark.parametrize("laps", [1.02, 1.1])
+def test_a_line_that_goes_on_past_its_start_is_not_called_a_crossing(laps: float, wobble: float):
+    with pytest.raises(TrackError, match=r"^track 'lap': the centreline is not closed: .* it goes on past its start$"):
+        Track.from_centreline("lap", arc(laps, wobble))
+
+
+@pytest.mark.parametrize("count", [3, 40])
+def test_a_straight_line_is_not_called_a_crossing(count: int):
+    points = np.stack([np.linspace(0, 95, count), np.zeros(count)], axis=1)
+    with pytest.raises(TrackError, match=r"not closed: its last point is 95\.00 m from its first, .*; draw it back"):
+        Track.from_centreline("line", Centreline(points, *np.full((2, count), 4.0)))

@@ -102,7 +102,7 @@ def with_value(row: int, column: int, value: float) -> np.ndarray:
         (npy(with_value(4, 2, np.nan)), "row 5: inner x is nan; it must be a finite number"),
         (npy(with_value(4, 5, -np.inf)), "row 5: outer y is -inf"),
         (npy(with_value(0, 1, 1e9)), "row 1: centre y is 1e[+]09"),
-        (npy(np.repeat(ring_waypoints(), 2, axis=0)), "rows .* repeat a point"),
+        (npy(np.repeat(ring_waypoints()[:2], 4, axis=0)), "2 points; a closed road needs at least 3"),
         (npy(np.hstack([ring_waypoints()[:, :4], ring_waypoints()[:, 2:4]])), "both borders lie on the same side"),
     ],
 )
@@ -202,6 +202,10 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         ("[" * 5000, "not (YAML|a YAML text file)"),
         ("!!python/object/apply:os.system ['true']", "line 1: this is not YAML: could not determine a constructor"),
         ("when: 2024-99-99", "not a YAML text file"),
+        (
+            "image: map.png\nresolution: 0.05\n",
+            "this is a map of ROS, a picture without a centreline; CarRL reads .csv",
+        ),
         (SIZES, "it has neither; it must have one of corners and points"),
         (SQUARE + RING + SIZES, "it has corners and points; it must have one of"),
         (SQUARE + SIZES + "colour: red", "unknown key colour; with corners the keys are corners, corner_radius, width"),
@@ -224,7 +228,7 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         ("corners: [[0, 0], [60, up], [60, 60]]\n" + SIZES, "corners: row 2: y is 'up'; it must be a number"),
         ("corners: [[0, 0], [60, 0], [.inf, 60]]\n" + SIZES, "corners: row 3: x is inf; it must be"),
         ("corners: [[0, 0], [60, 0], [1000000, 60]]\n" + SIZES, "corners: row 3: x is 1000000; .* at most 100000"),
-        ("corners: [[0, 0], [60, 0], [60, 0], [0, 60]]\n" + SIZES, "corners: rows 2 and 3 repeat a point"),
+        ("corners: [[0, 0], [60, 0], [60, 0], [0, 0]]\n" + SIZES, "2 corners; a closed road needs at least 3"),
         ("corners: [[0, 0], [60, 60], [60, 0], [0, 60]]\n" + SIZES, "the corners' outline crosses itself"),
         (RING, r"points: row 1 is \[50, 0\]; it must be \[x, y, width\], or width must be given"),
         ("points: [[50, 0, 4], [0, 50, 0], [-50, 0, 4]]", "points: row 2: width is 0 m; widths must be positive"),

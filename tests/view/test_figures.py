@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.colors import to_rgb
+from matplotlib.patches import FancyArrowPatch
 from PIL import Image
 
 from carrl.errors import CarrlError
+from carrl.sim.centreline import Centreline
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
@@ -273,3 +275,13 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path):
     for name in ("a.png", "b.png"):
         save_png(new_figure(height=1.0), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_the_arrow_of_a_start_in_a_corner_points_along_the_road():
+    points = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 50.0], [0.0, 50.0]])
+    track = Track.from_centreline("square", Centreline(points, *np.full((2, 4), 4.0)))
+    patches = draw_track_map(track, "square").axes.patches
+    (tail, head) = next(patch for patch in patches if isinstance(patch, FancyArrowPatch))._posA_posB
+    way = np.subtract(head, tail)
+    assert way[0] > 0
+    assert way[1] == pytest.approx(0, abs=1e-5 * way[0])
