@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from carrl.env.checks import seed_list, seed_number
 from carrl.env.reward import Reward
 from carrl.env.task import Situation, Task, Tracks
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator, State
 from carrl.sim.track import Track
@@ -118,6 +118,13 @@ class TrackEnv(EnvBase):
     def simulator(self) -> Simulator:
         """What moves the cars."""
         return self.task.simulator
+
+    def __repr__(self) -> str:
+        """One line: what is driven on, by how many cars, with how many rays, and where."""
+        names = [track.name for track in self.tracks]
+        track, cars = shown(names[0] if len(names) == 1 else names), self.batch_size[0]
+        rays, device = self.simulator.sensor.rays, self.simulator.device
+        return f"TrackEnv({track}, cars={cars}, rays={rays}, max_steps={self.task.max_steps}, device={str(device)!r})"
 
     @property
     def tracks(self) -> tuple[Track, ...]:

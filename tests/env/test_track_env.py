@@ -459,3 +459,10 @@ def test_an_environment_can_be_handed_to_a_spawned_process():
     worker.start()
     worker.join()
     assert worker.exitcode == 0
+
+
+def test_an_environment_and_a_track_tell_of_themselves_in_one_line():
+    track = Track.load("oval")
+    assert repr(track) == f"Track('oval', {track.length:.1f} m, {track.gate_count} gates)"
+    assert repr(TrackEnv(track, num_envs=3)) == "TrackEnv('oval', cars=3, rays=7, max_steps=1000, device='cpu')"
+    assert repr(TrackEnv(["oval", "paper"])).startswith("TrackEnv(['oval', 'paper'], cars=1, rays=7, ")
