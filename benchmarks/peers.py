@@ -34,9 +34,9 @@ def train_sb3_one_car(frames: int, seed: int) -> Measurement:
 
 def train_sb3_many_cars(frames: int, seed: int) -> Measurement:
     """Stable-Baselines3 on all cars in one batched environment."""
-    from benchmarks.vec_env import TrackVecEnv
+    from carrl.env.sb3_vec_env import TrackVecEnv
 
-    return _train_sb3(TrackVecEnv(CARS, seed=seed), frames, seed)
+    return _train_sb3(TrackVecEnv("paper", CARS, seed=seed), frames, seed)
 
 
 PEERS: dict[str, Callable[[int, int], Measurement]] = {

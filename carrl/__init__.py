@@ -10,7 +10,7 @@ from carrl.registration import register_with_gymnasium, register_with_torchrl
 _IMPORTED_AT = time.monotonic()
 
 if TYPE_CHECKING:
-    from carrl import log
+    from carrl import log, sb3
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
     from carrl.env.reward import Reward
@@ -31,6 +31,7 @@ __all__ = [
     "Vehicle",
     "__version__",
     "log",
+    "sb3",
 ]
 
 try:
@@ -54,10 +55,15 @@ _HOMES = {
 }
 
 
+def __dir__() -> list[str]:
+    """The public names, whether imported yet or not, and Python's own."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+
+
 def __getattr__(name: str) -> Any:
     """Imports a public name on first use, so that `carrl log` starts without waiting for torch."""
-    if name == "log":
-        return importlib.import_module("carrl.log")
+    if name in ("log", "sb3"):
+        return importlib.import_module(f"carrl.{name}")
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'carrl' has no attribute {name!r}")

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+import carrl
+
 MAKE = "print(gymnasium.make('carrl/Track-v0').spec.id, gymnasium.make_vec('carrl/Track-v0', num_envs=2).num_envs)"
 
 
@@ -40,3 +42,10 @@ print([finder._module for finder in left], type(gymnasium.__spec__.loader).__nam
 """
     finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert finished.stdout == "['torchrl.data.datasets.utils'] SourceFileLoader\n", finished.stderr
+
+
+def test_the_package_lists_its_public_names_and_no_others():
+    program = "import sys, carrl; print([n for n in dir(carrl) if n[:2] != '__'], 'torch' in sys.modules)"
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    names = [name for name in carrl.__all__ if not name.startswith("__")]
+    assert finished.stdout == f"{sorted(names)} False\n", finished.stderr

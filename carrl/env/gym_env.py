@@ -12,8 +12,11 @@ import gymnasium
 import numpy as np
 import torch
 
+from carrl.env.checks import seed_number
+from carrl.env.gym_actions import action_number
 from carrl.env.task import Situation, Task, Tracks
 from carrl.errors import ConfigError
+from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, Vehicle
 
 if TYPE_CHECKING:
@@ -30,16 +33,26 @@ _NEVER = 2**62  # As `max_steps`: Gymnasium's own time limit truncates.
 _TRAIL_STEPS = 150
 
 
+class OptionError(ConfigError, TypeError):
+    """An option that there is none of; also a TypeError, as Python raises it for a keyword that a function lacks.
+
+    Libraries that make environments try keywords of their own, and take that for the answer: TorchRL 0.14 goes on
+    without `frameskip` if the message says what Python's says.
+    """
+
+
 class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     """One car on a track: `gymnasium.make("carrl/Track-v0", track=...)` after `import carrl`.
 
     The same task as `TrackEnv` with one car. As in all of Gymnasium's own environments it is `gymnasium.make` that
     truncates episodes, at 1,000 steps or at its `max_episode_steps`, so that an episode whose last step is a collision
-    is both terminated and truncated.
+    is both terminated and truncated. After a collision no step is taken until `reset`; a car that was truncated may
+    drive on, as with any environment in Gymnasium's time limit.
 
     Observations are distances along each ray / range, [R], float32, in [0, 1], right to left; with `observe_action`
-    [R + 3]. Actions are 0 forward, 1 left, 2 right. `info` holds `pose` (x m, y m, heading rad), `gates_passed`,
-    `track` (the name of the one it drives on), and after a step the reward's terms by name.
+    [R + 3]. Actions are 0 forward, 1 left, 2 right. `info` holds numbers alone, at a reset and after a step the same:
+    `pose` (x m, y m, heading rad), `gates_passed`, `track` (the index into `tracks` of the one it drives on), and the
+    reward's terms by name, zero after a reset.
 
     Args:
         track: a track, or what `Track.load` takes, or a list of such.
@@ -49,8 +62,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
 
     Raises:
         TrackError: the track cannot be loaded.
-        ConfigError: a parameter is out of its range or has no such name, or pygame is not installed and a render mode
-            needs it.
+        OptionError: there is no such parameter; it is a ConfigError and a TypeError.
+        ConfigError: a parameter is of another type or out of its range.
     """
 
     metadata = {"render_modes": RENDER_MODES, "render_fps": 1 / Vehicle.time_step}  # noqa: RUF012 (Gymnasium's way)
@@ -66,16 +79,25 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self.action_space = gymnasium.spaces.Discrete(len(Action))
         self._start = self.task.start() if self.task.starts_alike else None
         self._now: Situation | None = None
-        self._track_names = [each.name for each in self.task.simulator.tracks]
         self._return, self._collided = 0.0, False
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_STEPS)
-        self._picture = make_follow_picture(self.task) if render_mode else None
+        self._picture: FollowPicture | None = None
         self._window: Window | None = None
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """What `info["track"]` counts: the tracks given, each with its variants if there are any."""
+        return self.task.simulator.tracks
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Puts the car at the start."""
+        """Puts the car at the start.
+
+        Raises:
+            ConfigError: the seed is no whole number, or below 0 or above 2^63 - 1.
+        """
+        seed = None if seed is None else seed_number(seed)
         super().reset(seed=seed)
         if seed is not None:
             self.task.streams.seed(seed)
@@ -84,24 +106,24 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self._trail.clear()
         if self.render_mode == "human":
             self.render()
-        return now.observation.numpy()[0].copy(), self._info(now)
+        return now.observation.numpy()[0].copy(), self._info(now, [0.0] * len(self.task.reward.term_names))
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Drives one time step; terminates on a collision and never truncates by itself.
 
         Raises:
-            ResetNeeded: there was no reset.
-            InvalidAction: there is no such action.
+            ResetNeeded: there was no reset, or none since a collision.
+            ActionError: there is no such action; it is a ConfigError and Gymnasium's InvalidAction.
         """
         before = self._now
         if before is None:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
-        if not 0 <= action < len(Action):
-            raise gymnasium.error.InvalidAction(f"action is {action}; it must be 0 forward, 1 left or 2 right")
-        after = self.task.step(before, torch.tensor([int(action)]))
+        if self._collided:
+            raise gymnasium.error.ResetNeeded("the car has hit a wall, which ended its episode; reset it")
+        after = self.task.step(before, torch.tensor([action_number(action)]))
         self._now = now = after.situation
         terms = after.reward_terms
-        info = self._info(now) | dict(zip(self.task.reward.term_names, terms.tolist()[0], strict=True))
+        info = self._info(now, terms.tolist()[0])
         reward, collided = float(terms.sum().item()), bool(after.terminated.item())
         self._return, self._collided = self._return + reward, collided
         if self.render_mode is not None:
@@ -134,12 +156,13 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         """A picture of this moment as the render mode wants it.
 
         Raises:
-            ConfigError: there is no display for a window.
+            ConfigError: there is no render mode, no display for a window, or no pygame.
         """
+        if self.render_mode is None:
+            raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
+        self._picture = self._picture or make_follow_picture(self.task)
         from carrl.env.rendering import Window, pixels
 
-        if self._picture is None:
-            raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         picture = self._picture.draw(self.scene())
         if self.render_mode == "rgb_array":
             return pixels(picture)
@@ -153,25 +176,22 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             self._window.close()
         self._window = None
 
-    def _info(self, now: Situation) -> dict[str, Any]:
+    def _info(self, now: Situation, terms: list[float]) -> dict[str, Any]:
         pose, _, gates_passed, track = now.state
-        return {
-            "pose": pose.numpy()[0].copy(),
-            "gates_passed": gates_passed.item(),
-            "track": self._track_names[int(track.item())],
-        }
+        place = {"pose": pose.numpy()[0].copy(), "gates_passed": gates_passed.item(), "track": track.item()}
+        return place | dict(zip(self.task.reward.term_names, terms, strict=True))
 
 
 def check_options(options: Mapping[str, Any], others: Sequence[str] = ("max_episode_steps",)) -> None:
     """Lets pass what the task knows.
 
     Raises:
-        ConfigError: an option is none of these; the message lists them and the `others` that the environment has.
+        OptionError: an option is none of these; the message lists them and the `others` that the environment has.
     """
     unknown = [name for name in options if name not in OPTIONS]
     if unknown:
         names = ", ".join(("track", "render_mode", *others, *OPTIONS))
-        raise ConfigError(f"there is no option {unknown[0]!r}; choose from {names}")
+        raise OptionError(f"the environment got an unexpected keyword argument {unknown[0]!r} (choose from {names})")
 
 
 def check_render_mode(render_mode: str | None) -> None:

@@ -8,18 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from gymnasium.error import InvalidAction, ResetNeeded
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
+from carrl.env.checks import seed_list, seed_number
+from carrl.env.gym_actions import action_array
 from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode
 from carrl.env.random_streams import CarStreams
 from carrl.env.reward import SHAPING, TERMS
 from carrl.env.task import Situation, Task, Tracks, Transition
 from carrl.errors import ConfigError
+from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, Vehicle
 
 if TYPE_CHECKING:
@@ -50,8 +53,8 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Raises:
         TrackError: a track cannot be loaded.
-        ConfigError: a parameter is out of its range or has no such name, or pygame is not installed and a render mode
-            needs it.
+        OptionError: there is no such parameter; it is a ConfigError and a TypeError.
+        ConfigError: a parameter is of another type or out of its range.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own convention)
@@ -85,9 +88,13 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._first_start = self.task.start() if self.task.starts_alike else None
         self._now: Situation | None = None
         self._ended = np.zeros(num_envs, dtype=bool)
-        self._track_names = np.array([each.name for each in self.task.simulator.tracks], dtype=object)
-        self._picture = _make_fleet_picture(self.task) if render_mode else None
+        self._picture: FleetPicture | None = None
         self._window: Window | None = None
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """What `infos["track"]` counts: the tracks given, each with its variants if there are any."""
+        return self.task.simulator.tracks
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -105,25 +112,26 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._now is None and not wanted.all():
             raise ResetNeeded("reset all cars before the first reset of some")
         seeds = self._seeds(seed)
-        if isinstance(seed, int):
-            super().reset(seed=seed)
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=int(seed))
         self._streams.seed_each(seeds, torch.from_numpy(wanted))
         self._now = now = self._put(self._now, wanted)
         self._ended = self._ended & ~wanted
         if self.render_mode == "human":
             self.render()
-        return now.observation.numpy().copy(), _with_masks(self._places(now), wanted)
+        terms = torch.zeros(self.num_envs, len(self.task.reward.term_names))
+        return now.observation.numpy().copy(), _infos(now, terms, wanted)
 
     def step(self, actions: np.ndarray) -> Step:
         """Drives every car one time step: actions [N] to observations, rewards, terminated, truncated and infos.
 
         Raises:
-            InvalidAction: these are not N actions.
+            ActionError: these are not N actions; it is a ConfigError and Gymnasium's InvalidAction.
             ResetNeeded: there was no reset, or with `autoreset_mode` "Disabled" none for a car whose episode ended.
         """
         if self._now is None:
             raise ResetNeeded("call reset before the first step")
-        taken = self._checked(actions)
+        taken = torch.from_numpy(action_array(actions, self.num_envs))
         resetting = self._ended
         if resetting.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
@@ -142,17 +150,18 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """One picture of the cars on the first track.
 
         Raises:
-            ConfigError: there is no display for a window.
+            ConfigError: there is no render mode, no display for a window, or no pygame.
         """
-        from carrl.env.rendering import Window, pixels
-
-        if self._picture is None:
+        if self.render_mode is None:
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         if self._now is None:
             raise ResetNeeded("call reset before the first picture")
+        self._picture = self._picture or _make_fleet_picture(self.task)
+        from carrl.env.rendering import Window, pixels
+
         shown = self._now.state.track.numpy() == 0
         cars = f"{shown.sum():,} of {self.num_envs:,} cars" if not shown.all() else f"{self.num_envs:,} cars"
-        title = f"{self._track_names[0]}: {cars}"
+        title = f"{self.tracks[0].name}: {cars}"
         picture = self._picture.draw(self._now.state.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
             return (pixels(picture),)
@@ -179,25 +188,19 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._now = now
         ends = terminated.numpy(), truncated.numpy()
         self._ended = ends[0] | ends[1]
-        infos = _with_masks(self._places(now), np.ones_like(driven)) | _with_masks(_by_name(terms), driven)
-        return now.observation.numpy().copy(), _rewards(terms), *ends, infos
+        return now.observation.numpy().copy(), _rewards(terms), *ends, _infos(now, terms)
 
     def _end_in_same_step(self, after: Transition) -> Step:
         """What the step brought; cars whose episode ended are at the start again, their end is in the infos."""
         now, terms, terminated, _ = after
         ends = terminated.numpy(), self._is_last_step(now).numpy()
         ended = ends[0] | ends[1]
-        last_view, last_info = now.observation.numpy(), self._places(now) | _by_name(terms)
-        self._now = now = self._put(now, ended) if ended.any() else now
-        everyone = np.ones_like(ended)
-        infos = _with_masks(self._places(now), everyone) | _with_masks(_by_name(terms), ~ended)
+        rewards, finals = _rewards(terms), {}
         if ended.any():
-            final_views = np.full(self.num_envs, None, dtype=object)
-            for car in ended.nonzero()[0]:
-                final_views[car] = last_view[car].copy()
-            infos |= {"final_obs": final_views, "_final_obs": ended}
-            infos |= {"final_info": _with_masks(last_info, ended), "_final_info": ended.copy()}
-        return now.observation.numpy().copy(), _rewards(terms), *ends, infos
+            finals = _finals(now, terms, ended)
+            now, terms = self._put(now, ended), terms * torch.from_numpy(~ended)[:, None]
+        self._now = now
+        return now.observation.numpy().copy(), rewards, *ends, _infos(now, terms) | finals
 
     def _is_last_step(self, now: Situation) -> Tensor:
         """Whether the time limit is reached, [N], bool."""
@@ -209,26 +212,12 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         start = first.only(cars) if first else self.task.start(cars)
         return start if now is None or wanted.all() else now.replacing(cars, start)
 
-    def _places(self, now: Situation) -> dict[str, np.ndarray]:
-        """Where the cars are and how far they came."""
-        state = now.state
-        return {
-            "pose": state.pose.numpy().copy(),
-            "gates_passed": state.gates_passed.numpy().copy(),
-            "track": self._track_names[state.track.numpy()],
-        }
-
-    def _checked(self, actions: np.ndarray) -> Tensor:
-        """A copy of the actions [N], int64."""
-        taken = np.array(actions, dtype=np.int64)
-        if taken.shape != (self.num_envs,) or taken.min() < 0 or taken.max() >= len(Action):
-            raise InvalidAction(f"actions must be {self.num_envs} numbers, each 0 forward, 1 left or 2 right")
-        return torch.from_numpy(taken)
-
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        seeds = [seed + car for car in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
+        if isinstance(seed, int | np.integer):
+            return [seed_number(seed) + car for car in range(self.num_envs)]
+        seeds = seed_list(seed)
         if len(seeds) != self.num_envs:
             raise ConfigError(
                 f"seed has {len(seeds)} entries; it must be a number, or one for each of {self.num_envs} cars"
@@ -260,14 +249,29 @@ def _rewards(terms: Tensor) -> np.ndarray:
     return terms.sum(dim=-1).double().numpy()
 
 
-def _with_masks(values: dict[str, np.ndarray], cars: Bools) -> dict[str, Any]:
-    """Gymnasium's form of infos: beside each of the values [N, ...] which cars [N] have it; zero or None for others."""
+def _infos(now: Situation, terms: Tensor, cars: Bools | None = None) -> dict[str, Any]:
+    """Gymnasium's form of infos: beside each of the values [N, ...] which cars [N] have it, by default all.
+
+    They are where the cars are, how far they came, and the reward's terms [N, K]; zero for the other cars.
+    """
+    state = now.state
+    place = {name: getattr(state, name).numpy().copy() for name in ("pose", "gates_passed", "track")}
     infos: dict[str, Any] = {}
-    for name, value in values.items():
-        if not cars.all():
-            value[~cars] = None if value.dtype == object else 0
-        infos[name], infos[f"_{name}"] = value, cars.copy()
+    for name, value in (place | _by_name(terms)).items():
+        if cars is not None:
+            value[~cars] = 0
+        infos[name] = value
+        infos[f"_{name}"] = np.ones(len(value), dtype=bool) if cars is None else cars.copy()
     return infos
+
+
+def _finals(now: Situation, terms: Tensor, ended: Bools) -> dict[str, Any]:
+    """The last views and infos of the cars whose episode ended, in Gymnasium's form."""
+    views = np.full(len(ended), None, dtype=object)
+    for car in ended.nonzero()[0]:
+        views[car] = now.observation[car].numpy().copy()
+    last_info = _infos(now, terms, ended)
+    return {"final_obs": views, "_final_obs": ended.copy(), "final_info": last_info, "_final_info": ended.copy()}
 
 
 def _make_fleet_picture(task: Task) -> "FleetPicture":

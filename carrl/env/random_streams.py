@@ -45,6 +45,22 @@ class RandomStreams:
         """Goes on from where the generators stood."""
         restore(self._generators, state["generators"])
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle, with the generators as plain bytes.
+
+        Multiprocessing hands a tensor over in shared memory, by a file that torch 2.13 closes too early where the
+        tensor is made while a generator is pickled: a process that is spawned with one dies.
+        """
+        states = [state.numpy().tobytes() for state in states_of(self._generators)]
+        return {"share": self._share, "generators": states}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """From what `__getstate__` told of."""
+        self._share = state["share"]
+        states = [torch.frombuffer(bytearray(each), dtype=torch.uint8) for each in state["generators"]]
+        self._generators = [torch.Generator() for _ in states]
+        restore(self._generators, states)
+
     def integers(self, high: int) -> Tensor:
         """Whole numbers from 0 to `high` - 1, [N], int64."""
         return torch.cat([torch.randint(high, (self._share,), generator=each) for each in self._generators])

@@ -5,12 +5,13 @@ Shapes: `B` cars, `K` terms.
 Source: "Simulation-based Self-driving Car using Reinforcement Learning", section IV.
 """
 
-import math
+import sys
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from carrl.env.checks import number
 from carrl.errors import ConfigError
 from carrl.sim.vehicle import Action
 
@@ -18,6 +19,7 @@ TERMS = ("collision", "proximity", "gate", "steering")
 """The order of the terms in every tensor of them; the paper has all but the last."""
 SHAPING = "shaping"
 """One more term, where there is any."""
+_MOST = sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,7 @@ class Reward:
     def __post_init__(self) -> None:
         """Raises ConfigError for a value that is no finite number, and if the shaping's weight or discount is none."""
         for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise ConfigError(f"reward.{name} is {value}; it must be a finite number")
+            number(f"reward.{name}", value, -_MOST, _MOST, "a finite number")
         if not self.approach >= 0:
             raise ConfigError(f"reward.approach is {self.approach}; it must be 0 or more per metre")
         if not 0 <= self.discount <= 1:

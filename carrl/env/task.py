@@ -6,22 +6,24 @@ Shapes: `N` cars driven side by side, `K` of them, `R` rays, `T` tracks.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from carrl.env.checks import flag, instance, number, whole_number
 from carrl.env.observation import FIRST_ACTION, observation_size, observe, read
 from carrl.env.random_streams import RandomStreams
 from carrl.env.reward import Reward
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator, State
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle, VehicleModel
 
-Tracks = Track | str | Sequence[Track | str]
+Tracks = Track | str | Path | Sequence[Track | str | Path]
 
 MOST_CARS = 2**20
 MOST_READINGS = 2**26
@@ -93,7 +95,7 @@ class Task:
 
     Raises:
         TrackError: a track cannot be loaded.
-        ConfigError: a parameter is out of its range.
+        ConfigError: a parameter is of another type or out of its range.
     """
 
     def __init__(
@@ -116,22 +118,29 @@ class Task:
         observe_action: bool = False,
     ) -> None:
         """Builds the simulator."""
-        _check("num_envs", num_envs, 1 <= num_envs <= MOST_CARS, f"at least 1 and at most {MOST_CARS}")
-        _check("max_steps", max_steps, 1 <= max_steps < 2**63, "at least 1 and less than 2^63")
-        _check("start_offset", start_offset, 0 <= start_offset <= 1, "a share between 0 and 1")
-        _check("heading_jitter", heading_jitter, 0 <= heading_jitter <= 180, "between 0 and 180 degrees")
-        self.reward = reward or Reward()
-        self.max_steps, self.random_start, self.observe_action = max_steps, random_start, observe_action
-        self.start_offset, self.heading_jitter = start_offset, math.radians(heading_jitter)
+        num_envs = whole_number("env.num_envs", num_envs, 1, MOST_CARS)
+        self.max_steps = whole_number("env.max_steps", max_steps, 1, 2**63 - 1)
+        self.random_start = flag("env.random_start", random_start)
+        self.observe_action = flag("env.observe_action", observe_action)
+        self.start_offset = number("env.start_offset", start_offset, 0, 1, "a share between 0 and 1")
+        degrees = number("env.heading_jitter", heading_jitter, 0, 180, "between 0 and 180 degrees")
+        self.heading_jitter = math.radians(degrees)
+        self.reward = instance("reward", reward, Reward) or Reward()
+        vehicle = instance("vehicle", vehicle, VehicleModel) or Vehicle()  # type: ignore[type-abstract]
+        sensor = instance("sensor", sensor, Sensor) or Sensor()
         bases = [each if isinstance(each, Track) else Track.load(each) for each in _listed(track)]
+        mirrored, reversed = flag("env.mirrored", mirrored), flag("env.reversed", reversed)
         tracks = [variant for base in bases for variant in _variants(base, mirrored, reversed)]
-        self.simulator = Simulator(tracks, vehicle or Vehicle(), sensor or Sensor(), device)
+        self.simulator = Simulator(tracks, vehicle, sensor, device)
         self.cars = num_envs * len(seeds)
         readings = self.cars * self.simulator.sensor.rays
-        _check("num_envs", num_envs, readings <= MOST_READINGS, f"so few that {readings} rays become {MOST_READINGS}")
+        if readings > MOST_READINGS:
+            raise ConfigError(
+                f"env.num_envs is {num_envs}; it must be so few that {readings} rays become {MOST_READINGS}"
+            )
         self.streams = RandomStreams(seeds, num_envs)
         self._variants = len(tracks) // max(1, len(bases))
-        self._samples_track = sample_track and len(bases) > 1
+        self._samples_track = flag("env.sample_track", sample_track) and len(bases) > 1
         self._own_base = (torch.arange(num_envs) % len(bases)).repeat(len(seeds))
 
     @property
@@ -174,7 +183,9 @@ class Task:
         truth = outcome.ranges / self.simulator.sensor.max_range
         terms = self.reward.terms(truth, outcome.collided, outcome.gates_passed, action, situation.last_action)
         if self.reward.approach:
-            before, after = (self.simulator.gate_distance(state) for state in (situation.state, outcome.state))
+            # A car whose pose is not finite, which has collided, earns the collision alone.
+            before = self.simulator.gate_distance(situation.state).nan_to_num(0, 0, 0)
+            after = self.simulator.gate_distance(outcome.state)
             terms = torch.cat([terms, self.reward.shaping(before, after, outcome.collided)[:, None]], dim=-1)
         readings = read(self.simulator.sensor, outcome.ranges, self.streams)
         step = situation.step + 1
@@ -208,16 +219,18 @@ def _situation(fields: Sequence[Tensor]) -> Situation:
     return Situation(State(*fields[:state]), *fields[state:])
 
 
-def _listed(track: Tracks) -> Sequence[Track | str]:
-    return [track] if isinstance(track, Track | str) else track
+def _listed(track: Tracks) -> Sequence[Track | str | Path]:
+    """One track or several as a list, whose items alone are checked."""
+    listed = [track] if isinstance(track, Track | str | Path) or not isinstance(track, Iterable) else list(track)
+    for each in listed:
+        if not isinstance(each, Track | str | Path):
+            raise ConfigError(
+                f"track is {shown(each)}; it must be a Track, a built-in track's name or a file, or a list"
+            )
+    return listed
 
 
 def _variants(track: Track, mirrored: bool, reversed_: bool) -> list[Track]:
     """The track itself, and what else it may be driven as."""
     variants = [track, track.mirrored()] if mirrored else [track]
     return variants + [each.reversed() for each in variants] if reversed_ else variants
-
-
-def _check(name: str, value: float, holds: bool, wanted: str) -> None:
-    if not holds:
-        raise ConfigError(f"env.{name} is {value}; it must be {wanted}")

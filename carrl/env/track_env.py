@@ -11,9 +11,10 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from carrl.env.checks import seed_list, seed_number
 from carrl.env.reward import Reward
 from carrl.env.task import Situation, Task, Tracks
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator, State
 from carrl.sim.track import Track
@@ -35,6 +36,10 @@ class TrackEnv(EnvBase):
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
     | `last_action` | [N] int64 | of the step before; forward after a reset |
     | `track` | [N] int64 | index into `tracks` of what the car drives on |
+
+    An action is a whole number of any integer type, and each car has one. A car whose episode has ended is to be reset,
+    as TorchRL's collectors, `rollout` and `step_and_maybe_reset` do; as elsewhere in TorchRL `step` does not look at
+    that. A car that is handed in with a pose that is not finite terminates.
 
     The state of the cars travels in the TensorDict; the environment keeps only its random generators, which drive
     random starts, sensor noise and `rand_action`. The same seed gives the same rollout, whatever other code draws from
@@ -61,7 +66,7 @@ class TrackEnv(EnvBase):
 
     Raises:
         TrackError: a track cannot be loaded.
-        ConfigError: a parameter is out of its range.
+        ConfigError: a parameter, a seed or an action is of another type or out of its range.
     """
 
     def __init__(
@@ -84,7 +89,7 @@ class TrackEnv(EnvBase):
         observe_action: bool = False,
     ) -> None:
         """Builds the simulator and declares the specs."""
-        seeds = [seed] if seed is None or isinstance(seed, int) else list(seed)
+        seeds = seed_list(seed)
         if not seeds:
             raise ConfigError("seed names no seed; give a whole number, or a list of them")
         task = Task(
@@ -113,6 +118,13 @@ class TrackEnv(EnvBase):
     def simulator(self) -> Simulator:
         """What moves the cars."""
         return self.task.simulator
+
+    def __repr__(self) -> str:
+        """One line: what is driven on, by how many cars, with how many rays, and where."""
+        names = [track.name for track in self.tracks]
+        track, cars = shown(names[0] if len(names) == 1 else names), self.batch_size[0]
+        rays, device = self.simulator.sensor.rays, self.simulator.device
+        return f"TrackEnv({track}, cars={cars}, rays={rays}, max_steps={self.task.max_steps}, device={str(device)!r})"
 
     @property
     def tracks(self) -> tuple[Track, ...]:
@@ -153,7 +165,13 @@ class TrackEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = State(*(tensordict[key] for key in State._fields))
         before = Situation(state, *(tensordict[key] for key in Situation._fields[1:]))
-        after = self.task.step(before, tensordict["action"])
+        action = tensordict["action"]
+        if action.dtype is not torch.int64 or action.shape != self.batch_size:
+            action = self._whole_numbers(action)
+        try:
+            after = self.task.step(before, action)
+        except ValueError as error:  # The compiled code looks at each car's numbers as it goes.
+            raise _refusal(action, error) from error
         values = _as_dict(after.situation) | {
             "reward_terms": after.reward_terms,
             "reward": after.reward_terms.sum(dim=-1, keepdim=True),
@@ -164,7 +182,19 @@ class TrackEnv(EnvBase):
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.task.streams.seed(0 if seed is None else seed)
+        self.task.streams.seed(0 if seed is None else seed_number(seed))
+
+    def _whole_numbers(self, action: Tensor) -> Tensor:
+        """Actions of another integer type as int64.
+
+        Raises:
+            ConfigError: they are no integers, or not one for each car.
+        """
+        if action.dtype is torch.bool or action.is_floating_point() or action.is_complex():
+            raise ConfigError(f"action is of {action.dtype}; it must be of torch.int64: 0 forward, 1 left or 2 right")
+        if action.shape != self.batch_size:
+            raise ConfigError(f"action has the shape {list(action.shape)}; it must have {list(self.batch_size)}")
+        return action.long()
 
     def _begin(self, situation: Situation, cars: Tensor | None = None) -> TensorDict:
         """All cars, or these [K], at the start of an episode, not done; zeros elsewhere."""
@@ -206,6 +236,15 @@ class TrackEnv(EnvBase):
         self.reward_spec = Unbounded((cars, 1), dtype=torch.float32, **options)
         flag = Binary(1, shape=(cars, 1), dtype=torch.bool, **options)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options)
+
+
+def _refusal(action: Tensor, error: ValueError) -> ConfigError:
+    """Says which car's number it was that the compiled code could not use."""
+    wrong = (action < 0) | (action >= len(Action))
+    if wrong.any():
+        car = int(wrong.nonzero()[0])
+        return ConfigError(f"action of car {car} is {int(action[car])}; it must be 0 forward, 1 left or 2 right")
+    return ConfigError(f"{error}; the state is none that this environment returned, so reset the cars")
 
 
 def _as_dict(situation: Situation) -> dict[str, Tensor]:

@@ -16,7 +16,7 @@ from carrl.agent.policy import GreedyPolicy
 from carrl.env.observation import FIRST_ACTION, read
 from carrl.env.random_streams import RandomStreams
 from carrl.env.reward import Reward
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.sim.simulator import Outcome, Simulator, State
 from carrl.sim.vehicle import Action
 
@@ -138,9 +138,11 @@ def drive_from(
         track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
 
     Raises:
-        ConfigError: that takes too many steps.
+        ConfigError: that takes too many steps, or a place is not a finite number.
     """
     stations = stations.double()
+    if not stations.isfinite().all():
+        raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
     state = simulator.start(stations, track)
     limits = _time_limits(simulator, state)
     _check_limits(limits, simulator)

@@ -176,7 +176,8 @@ def _step(
         path_x, path_y = x - begin_x, y - begin_y
         level = _level(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, level)
-        hit = _touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+        # What is no number fails every comparison: such a car would drive on for ever.
+        hit = not math.isfinite(x + y) or _touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)

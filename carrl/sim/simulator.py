@@ -160,7 +160,8 @@ class Simulator:
 
         The body is a disc, swept along the straight way of the step, so that no wall is jumped over at any speed.
         A gate counts when the middle of the car crosses it forward and it is the next one in order; nothing else
-        counts, so going back and forth over a gate earns nothing, nor does driving the wrong way round.
+        counts, so going back and forth over a gate earns nothing, nor does driving the wrong way round. A car whose
+        pose is not finite has collided.
 
         Args:
             state: before the step.
@@ -172,7 +173,7 @@ class Simulator:
         pose = self.vehicle.move(state.pose, action)
         begin, end = state.pose[:, :2].double(), pose[:, :2].double()
         walls = self._walls_near(state._replace(pose=pose))
-        collided = path_clearance(begin, end, walls) < self.vehicle.body_radius
+        collided = ~(path_clearance(begin, end, walls) >= self.vehicle.body_radius)  # also where it is nan
         passed = torch.where(collided, 0, self._count_gates(begin, end, state))
         next_gate = (state.next_gate + passed) % self.gate_counts[state.track]
         after = State(pose, next_gate, state.gates_passed + passed, state.track)

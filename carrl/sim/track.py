@@ -55,6 +55,10 @@ class Track:
     bridges: tuple[Bridge, ...] = ()
     repeats: int = 0
 
+    def __repr__(self) -> str:
+        """One line instead of all its walls."""
+        return f"Track({self.name!r}, {self.length:.1f} m, {self.gate_count} gates)"
+
     @staticmethod
     def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
         """Loads a built-in track by name, or a file by path.

@@ -47,6 +47,16 @@ def test_double_dqn_values_the_trained_networks_choice_with_the_target_network()
 
 
 @pytest.mark.parametrize("double_dqn", [False, True])
+def test_actions_of_equal_value_count_as_one_action(double_dqn):
+    tied = (3.0, 3.0, 3.0)
+    chosen = linear_network(tied)(TensorDict({"observation": torch.ones(4, 1)}, [4]))
+    assert chosen["action"].shape == (4,) and chosen["action"].dtype is torch.int64
+    assert chosen["chosen_action_value"].tolist() == [[3.0]] * 4
+    loss = with_target(make_dqn_loss(0.5, "l2", double_dqn, network=linear_network(tied)), tied)
+    assert loss(transition(2.0))["loss"].item() == pytest.approx((2.0 + 0.5 * 3.0 - 3.0) ** 2)
+
+
+@pytest.mark.parametrize("double_dqn", [False, True])
 def test_a_terminated_transition_does_not_bootstrap(double_dqn):
     assert loss_of(transition(2.0, terminated=True), double_dqn) == pytest.approx((2.0 - 1.0) ** 2)
 

@@ -6,6 +6,7 @@ Shapes: `N` cars.
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.vector import AutoresetMode
 
 import carrl
@@ -129,7 +130,7 @@ def test_the_step_after_the_last_one_ignores_its_action_and_earns_nothing():
     view, reward, terminated, truncated, infos = env.step(np.array([1, 2]))
     np.testing.assert_array_equal(view, first)
     assert not (reward.any() or terminated.any() or truncated.any())
-    assert not infos["_collision"].any()
+    assert not infos["collision"].any()
 
 
 def test_the_same_step_mode_keeps_the_last_view_of_each_ended_episode():
@@ -186,8 +187,10 @@ def test_what_was_handed_out_neither_changes_later_nor_changes_what_follows():
 
 
 def test_cars_take_turns_on_several_tracks():
-    _, infos = make(5, track=["oval", "paper"]).reset(seed=0)
-    assert infos["track"].tolist() == ["oval", "paper", "oval", "paper", "oval"]
+    env = make(5, track=["oval", "paper"])
+    assert [track.name for track in env.tracks] == ["oval", "paper"]
+    _, infos = env.reset(seed=0)
+    assert infos["track"].tolist() == [0, 1, 0, 1, 0]
 
 
 def test_gymnasiums_wrappers_for_vectors_work():
@@ -199,7 +202,7 @@ def test_gymnasiums_wrappers_for_vectors_work():
 
 
 def test_a_misspelt_option_is_answered_with_all_that_there_are():
-    with pytest.raises(ConfigError, match=r"there is no option 'autoreset'; .*num_envs.*autoreset_mode.*random_start"):
+    with pytest.raises(ConfigError, match=r"keyword argument 'autoreset' .*num_envs.*autoreset_mode.*random_start"):
         make(autoreset="SameStep")
 
 
@@ -216,3 +219,87 @@ def test_actions_that_are_none_are_refused():
     for actions in ([0], [0, 3], [-1, 0]):
         with pytest.raises(gymnasium.error.InvalidAction, match="must be 2 numbers"):
             env.step(np.array(actions))
+
+
+@pytest.mark.parametrize(
+    ("actions", "found"),
+    [
+        ([1.9, 0.0], r"actions is an array \[2\] of float64"),
+        (np.array([True, False]), r"actions is an array \[2\] of bool"),
+        (np.zeros((2, 1), dtype=int), r"actions is an array \[2, 1\] of int64"),
+        (1, r"actions is an array \[\] of int64"),
+        ([0, [1]], r"actions is \[0, \[1\]\], no array"),
+        (["0", "1"], r"actions is an array \[2\] of <U1"),
+        (np.array([0, 2**64 - 1], dtype=np.uint64), r"actions\[1\] is 18446744073709551615"),
+        ([0, -1], r"actions\[1\] is -1"),
+    ],
+)
+def test_actions_of_another_type_or_shape_are_refused_in_one_sentence(actions, found):
+    env = make(2)
+    env.reset()
+    wanted = r"must be 2 numbers in an array \[2\], each the whole number 0 forward, 1 left or 2 right$"
+    with pytest.raises(ConfigError, match=f"^{found}.*{wanted}"):
+        env.step(actions)
+
+
+def test_integers_of_every_kind_are_actions():
+    outcomes = []
+    for kind in (list, np.array, torch.tensor, lambda each: np.array(each, dtype=np.uint8)):
+        env = make(3)
+        env.reset()
+        outcomes.append(env.step(kind([0, 1, 2])))
+    for outcome in outcomes[1:]:
+        assert_same(outcome, outcomes[0])
+
+
+@pytest.mark.parametrize("seed", [1.5, True, "1", -1, 2**63, [1, 2.5, 3], [1, True, 3], [1, 2, "3"]])
+def test_seeds_are_whole_numbers_that_the_generators_take(seed):
+    with pytest.raises(ConfigError, match=r"^seed(\[\d\])? is .*; it must be a whole number, at least 0"):
+        make(3, random_start=True).reset(seed=seed)
+
+
+def test_numpys_integers_are_seeds_and_sizes():
+    env, other = make(np.int64(3), random_start=True), make(3, random_start=True)
+    poses = [env.reset(seed=seed)[1]["pose"] for seed in (np.int64(5), np.array([5, 6, 7]))]
+    poses.append(other.reset(seed=5)[1]["pose"])
+    np.testing.assert_array_equal(poses[0], poses[1])
+    np.testing.assert_array_equal(poses[0], poses[2])
+
+
+def test_a_car_that_was_truncated_waits_for_its_reset_where_autoreset_is_disabled():
+    env = make(2, max_episode_steps=1, autoreset_mode="Disabled")
+    env.reset()
+    assert env.step([0, 0])[3].all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="car 0 has ended its episode"):
+        env.step([0, 0])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_infos_are_numbers_by_the_same_names_at_every_moment(mode):
+    env = make(4, track=["oval", "paper"], autoreset_mode=mode, max_episode_steps=3)
+    _, infos = env.reset(seed=0)
+    names = set(infos)
+    for _ in range(3):
+        assert set(infos) == names
+        assert all(value.dtype.kind in "ifb" for value in infos.values())
+        *_, infos = env.step([0, 1, 2, 0])
+    assert set(infos) - names == (
+        {"final_obs", "_final_obs", "final_info", "_final_info"} if mode is MODES[1] else set()
+    )
+
+
+def test_episode_statistics_are_right_where_a_mask_puts_cars_back():
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(4, max_episode_steps=30, autoreset_mode="Disabled"))
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    returns, lengths, episodes = np.zeros(4), np.zeros(4, dtype=int), 0
+    for _ in range(150):
+        _, reward, terminated, truncated, infos = env.step(rng.choice(3, size=4, p=[0.4, 0.3, 0.3]))
+        returns, lengths = returns + reward, lengths + 1
+        ended = terminated | truncated
+        if ended.any():
+            np.testing.assert_allclose(infos["episode"]["r"][ended], returns[ended])
+            np.testing.assert_array_equal(infos["episode"]["l"][ended], lengths[ended])
+            returns[ended], lengths[ended], episodes = 0, 0, episodes + ended.sum()
+            env.reset(options={"reset_mask": ended})
+    assert episodes > 15

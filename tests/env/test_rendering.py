@@ -246,10 +246,11 @@ def test_pictures_survive_what_ends_pygame():
 def test_without_pygame_the_remedy_is_named_and_the_rest_works(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     monkeypatch.delitem(sys.modules, "carrl.env.rendering")
-    carrl.GymTrackEnv().reset()
     for make_one in (carrl.GymTrackEnv, carrl.GymVectorTrackEnv):
+        env = make_one(render_mode="rgb_array")
+        env.reset()
         with pytest.raises(ConfigError, match=r"pip install 'carrl\[render\]'"):
-            make_one(render_mode="rgb_array")
+            env.render()
 
 
 def test_headless_drawing_opens_no_display():

@@ -92,3 +92,9 @@ def test_shaping_is_a_term_of_its_own_only_where_it_is_asked_for():
 def test_a_shaping_that_is_none_is_refused(key, value):
     with pytest.raises(ConfigError, match=rf"reward\.{key} is {value}"):
         Reward(**{key: value})
+
+
+@pytest.mark.parametrize("value", ["50", True, None, float("inf"), 10**400])
+def test_what_a_step_earns_is_a_finite_number(value):
+    with pytest.raises(ConfigError, match=r"^reward\.gate is .*; it must be a finite number$"):
+        Reward(gate=value)

@@ -1,5 +1,9 @@
 """The driving task as TorchRL sees it."""
 
+import multiprocessing
+import pickle
+
+import numpy as np
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
@@ -327,3 +331,138 @@ def test_shaping_counts_the_way_to_the_next_gates_middle_and_is_part_of_the_sum(
         before - 0.9 * (after["pose"][:, :2] - env.track.gates.mean(dim=1)[after["next_gate"]]).norm(dim=-1)
     )
     torch.testing.assert_close(after["reward_terms"][:, 4], expected, atol=1e-4, rtol=1e-4)
+
+
+# What is refused, and what is handed to another process
+
+
+def step_with(env, **changes):
+    """One step from the start with these entries in place of the state's own."""
+    return env.step(env.reset().update({"action": torch.zeros(env.batch_size, dtype=torch.int64)} | changes))["next"]
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (torch.tensor([1.9, 0.0]), r"action is of torch\.float32; it must be of torch\.int64"),
+        (torch.tensor([True, False]), r"action is of torch\.bool; it must be of torch\.int64"),
+        (torch.tensor([[0], [1]]), r"action has the shape \[2, 1\]; it must have \[2\]"),
+        (torch.tensor([[0, 1, 0], [1, 0, 0]]), r"action has the shape \[2, 3\]; it must have \[2\]"),
+        (torch.tensor([0, 3]), "action of car 1 is 3; it must be 0 forward, 1 left or 2 right"),
+        (torch.tensor([-1, 0]), "action of car 0 is -1; it must be 0 forward, 1 left or 2 right"),
+    ],
+)
+def test_an_action_of_another_type_shape_or_range_is_refused(action, message):
+    with pytest.raises(ConfigError, match=message):
+        step_with(TrackEnv(num_envs=2), action=action)
+
+
+def test_integers_of_every_type_are_actions():
+    plain = step_with(TrackEnv(num_envs=3), action=torch.tensor([0, 1, 2]))
+    for dtype in (torch.int32, torch.int16, torch.int8, torch.uint8):
+        after = step_with(TrackEnv(num_envs=3), action=torch.tensor([0, 1, 2], dtype=dtype))
+        assert (after == plain).all()
+        assert after["last_action"].dtype is torch.int64
+
+
+def test_a_gate_that_the_track_does_not_have_is_refused():
+    with pytest.raises(ConfigError, match=r"a gate's index is not one of those .* reset the cars"):
+        step_with(TrackEnv(num_envs=2), next_gate=torch.tensor([0, 99]))
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("column", range(3))
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_car_whose_pose_is_not_finite_terminates_and_the_others_drive(value, column, compiled):
+    env = TrackEnv(num_envs=2, reward=Reward(approach=0.5))
+    if not compiled:
+        env.simulator._kernels = None
+    pose = env.reset()["pose"]
+    pose[0, column] = value
+    after = step_with(env, pose=pose)
+    assert after["terminated"].tolist() == [[True], [False]]
+    assert after["reward_terms"][0, :4].tolist() == [-200, 0, 0, 0]
+    assert after["reward"].isfinite().all()
+    assert after["observation"].isfinite().all()
+
+
+WRONG_TYPES = [
+    {"num_envs": "4"},
+    {"num_envs": 2.0},
+    {"num_envs": True},
+    {"num_envs": 2**21},
+    {"max_steps": 1.5},
+    {"max_steps": True},
+    {"seed": "1"},
+    {"seed": 1.5},
+    {"seed": True},
+    {"seed": -1},
+    {"seed": 2**63},
+    {"start_offset": "0.5"},
+    {"heading_jitter": True},
+    {"random_start": "no"},
+    {"sample_track": 1},
+    {"mirrored": None},
+    {"reversed": "yes"},
+    {"observe_action": 2},
+    {"vehicle": 3},
+    {"sensor": "wide"},
+    {"reward": {"gate": 50}},
+    {"track": 3},
+    {"track": None},
+]
+
+
+@pytest.mark.parametrize("wrong", WRONG_TYPES, ids=str)
+def test_a_parameter_of_another_type_or_range_is_refused_in_one_sentence(wrong):
+    ((name, _),) = wrong.items()
+    with pytest.raises(ConfigError, match=rf"^(env\.)?{name} is [^;]*; it must be [^\n]*$"):
+        TrackEnv(**wrong)
+
+
+def test_each_seed_of_a_list_is_checked():
+    with pytest.raises(ConfigError, match=r"seed\[1\] is 'a'; it must be a whole number"):
+        TrackEnv(seed=[1, "a"])
+
+
+@pytest.mark.parametrize("seed", [1.5, True, "1", -1, 2**63])
+def test_a_seed_that_is_set_is_checked(seed):
+    with pytest.raises(ConfigError, match=r"^seed is .*; it must be a whole number, at least 0"):
+        TrackEnv().set_seed(seed)
+
+
+def test_numpys_integers_are_sizes_and_seeds():
+    env = TrackEnv(num_envs=np.int64(2), seed=np.int32(3), max_steps=np.int64(9), random_start=True)
+    first = env.reset()["pose"]
+    assert torch.equal(first, TrackEnv(num_envs=2, seed=3, random_start=True).reset()["pose"])
+    env.set_seed(np.int64(3))
+    assert torch.equal(first, env.reset()["pose"])
+
+
+def test_a_track_may_be_given_as_a_path(tmp_path):
+    with pytest.raises(TrackError, match="no file of this path"):
+        TrackEnv(track=tmp_path / "nowhere.csv")
+
+
+def test_a_pickled_environment_goes_on_where_it_stood():
+    env = TrackEnv("oval", num_envs=2, seed=[5, 6], random_start=True)
+    env.reset()
+    copy = pickle.loads(pickle.dumps(env))
+    drawn, again = (each.rollout(30, break_when_any_done=False) for each in (env, copy))
+    assert (drawn == again).all()
+    assert (drawn["pose"][:, 0] != env.reset()["pose"]).any()
+
+
+def test_an_environment_can_be_handed_to_a_spawned_process():
+    env = TrackEnv("oval", num_envs=2, seed=1, random_start=True)
+    worker = multiprocessing.get_context("spawn").Process(target=TrackEnv.rollout, args=(env, 3))
+    worker.start()
+    worker.join()
+    assert worker.exitcode == 0
+
+
+def test_an_environment_and_a_track_tell_of_themselves_in_one_line():
+    track = Track.load("oval")
+    assert repr(track) == f"Track('oval', {track.length:.1f} m, {track.gate_count} gates)"
+    assert repr(TrackEnv(track, num_envs=3)) == "TrackEnv('oval', cars=3, rays=7, max_steps=1000, device='cpu')"
+    assert repr(TrackEnv(["oval", "paper"])).startswith("TrackEnv(['oval', 'paper'], cars=1, rays=7, ")

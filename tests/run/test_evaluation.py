@@ -8,7 +8,7 @@ import torch
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
-from carrl.run.evaluation import drive, random_policy, rule_policy
+from carrl.run.evaluation import drive, drive_from, random_policy, rule_policy
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
@@ -117,3 +117,8 @@ def test_each_car_has_the_time_limit_of_its_own_track():
     simulator = Simulator(tracks, Vehicle(turn_radius=1.0), Sensor(max_range=10.0))
     drives = drive(simulator, Reward(), lambda observation, _: torch.ones(len(observation), dtype=torch.int64))
     assert [attempt.lap_steps for attempt in drives] == [2 * math.ceil(track.length) for track in tracks]
+
+
+def test_a_start_that_is_no_number_is_refused():
+    with pytest.raises(ConfigError, match=r"stations are \[0\.0, nan\]; they must be finite numbers of metres"):
+        drive_from(make_simulator(), Reward(), rule_policy, torch.tensor([0.0, math.nan]))

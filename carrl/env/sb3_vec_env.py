@@ -1,4 +1,4 @@
-"""The track for Stable-Baselines3, all cars in one batched environment: the fastest way that it can drive it.
+"""The driving task for Stable-Baselines3: all cars in one batched environment, the fastest way that it can drive it.
 
 Shapes: `N` cars, `R` rays.
 """
@@ -11,34 +11,43 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
-from carrl import TrackEnv
+from carrl.env.task import Tracks
+from carrl.env.track_env import TrackEnv
+from carrl.sim.vehicle import Action
 
 
 class TrackVecEnv(VecEnv):
-    """`TrackEnv` with N cars behind Stable-Baselines3's interface.
+    """`TrackEnv` with N cars behind Stable-Baselines3's interface; see `carrl.sb3.make_vec_env`.
 
-    Observations are [N, R], float32, in [0, 1]; actions [N], int64; rewards [N], float32.
+    Observations are [N, R], float32, in [0, 1], with `observe_action` [N, R + 3]; actions [N], int64; rewards [N],
+    float32.
     """
 
-    def __init__(self, num_envs: int, *, track: str = "paper", seed: int = 0) -> None:
+    def __init__(self, track: Tracks, num_envs: int, *, seed: int | None = None, **options: Any) -> None:
         """Puts all cars at the start."""
-        self._env = TrackEnv(track, num_envs, seed=seed)
-        rays = len(self._env.sensor_angles)
-        actions = int(self._env.action_spec_unbatched.n)
-        super().__init__(num_envs, spaces.Box(0.0, 1.0, (rays,), np.float32), spaces.Discrete(actions))
+        self._env = TrackEnv(track, num_envs, seed=seed, **options)
+        space = spaces.Box(0.0, 1.0, (self._env.task.observation_size,), np.float32)
+        super().__init__(self._env.task.cars, space, spaces.Discrete(len(Action)))
         self._now = self._env.reset()
 
     def reset(self) -> np.ndarray:
-        """Observations [N, R] of all cars at the start."""
+        """Observations [N, R] of all cars at the start; the seed that `seed` was called with counts from here on."""
+        if self._seeds[0] is not None:
+            self._env.set_seed(self._seeds[0])
+        self._reset_seeds()
         self._now = self._env.reset()
         return self._now["observation"].numpy()
 
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions [N]; `step_wait` drives."""
-        self._now["action"] = torch.as_tensor(actions, dtype=torch.int64)
+        self._now["action"] = torch.as_tensor(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Drives one step; a car whose episode ended is back at the start, with its last view in `infos`."""
+        """Drives one step; a car whose episode ended is back at the start, with its last view in `infos`.
+
+        Raises:
+            ConfigError: an action is none; see `TrackEnv`.
+        """
         driven, self._now = self._env.step_and_maybe_reset(self._now)
         after = driven["next"]
         done, truncated = after["done"].view(-1).numpy(), after["truncated"].view(-1).numpy()
@@ -52,7 +61,7 @@ class TrackVecEnv(VecEnv):
         """Nothing is open."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The same attribute for every car asked for."""
+        """The same attribute of `TrackEnv` for every car asked for."""
         value = None if attr_name == "render_mode" else getattr(self._env, attr_name)
         return [value for _ in self._cars(indices)]
 
