@@ -9,6 +9,8 @@ from typing import Any
 import torch
 
 from carrl.cli.evaluation_table import print_evaluation
+from carrl.cli.parser import Parser
+from carrl.errors import ConfigError
 from carrl.run.build import build_world
 from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
 from carrl.run.files import load_config, seed_folders
@@ -26,6 +28,8 @@ Laps = list[list[Drive]]
 def main(argv: list[str]) -> int:
     """Prints rows for each track, or one JSON document."""
     arguments = _parser().parse_args(argv)
+    if arguments.checkpoint and arguments.policy != "greedy":
+        raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
     torch.set_num_threads(1)
     runs = seed_folders(Path(arguments.run))
     if arguments.policy != "greedy":
@@ -35,7 +39,7 @@ def main(argv: list[str]) -> int:
     tracks = [track for name in arguments.track for track in _load_tracks(name)] or list(world.circuits.validation)
     survey = Survey(world, tracks, arguments.starts)
     policies = [
-        _make_policy(arguments.policy, run, arguments.checkpoint, config)
+        _make_policy(arguments.policy, run, arguments.checkpoint or "best", config)
         for run, config in zip(runs, configs, strict=True)
     ]
     laps = [survey.drive(policy) for policy in policies]
@@ -58,7 +62,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="carrl evaluate",
         description="Drives a run's policy without exploration, and a hand-written rule with the same car and sensors.",
     )
@@ -72,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="start places, spread along the track")
     parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
-    parser.add_argument("--checkpoint", choices=("best", "last"), default="best", help="which of the run's networks")
+    parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     return parser
 

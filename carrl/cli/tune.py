@@ -1,6 +1,8 @@
 """`carrl tune`: searches for the settings that do best, and gives up hopeless trials early."""
 
 import argparse
+import math
+import os
 import shlex
 import time
 from collections.abc import Mapping, Sequence
@@ -10,15 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
-
-from carrl.cli.plain import plain
+from carrl.cli.overrides import is_search, readable_overrides
+from carrl.cli.parser import Parser
+from carrl.cli.plain import composed
 from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
-from carrl.cli.train import name_files
 from carrl.cli.training import train
-from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 from carrl.run.objective import OBJECTIVES, Objective
 from carrl.run.trainer import Trainer
@@ -38,11 +36,14 @@ def main(argv: list[str]) -> int:
         raise ConfigError("carrl tune needs optuna; pip install 'carrl[tune]'")
     if arguments.trials < 1:
         raise ConfigError(f"--trials is {arguments.trials}; it must be at least 1")
-    overrides = [override for each in arguments.overrides for override in name_files(each)]
-    config = _compose(overrides)
+    if arguments.timeout is not None and not 0 < arguments.timeout < math.inf:
+        raise ConfigError(f"--timeout is {arguments.timeout}; it must be a positive number of seconds")
+    overrides = readable_overrides(arguments.overrides, is_sweep=None)
+    config = composed(overrides)
     if config.get("data"):
         raise ConfigError("data is given, but only training in the simulator can be tuned; leave data=log out")
     space = parse_search_space(config.get(SEARCH))
+    _check_is_free(overrides, space)
     folder = arguments.folder or Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}")
     tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder)
     study = _open_study(arguments, tuning, config["seed"])
@@ -60,6 +61,14 @@ def main(argv: list[str]) -> int:
         console.print_results(_rows(study))
     _print_best(study, tuning)
     return 0
+
+
+def _check_is_free(overrides: Sequence[str], space: SearchSpace) -> None:
+    """Raises ConfigError for a typed setting that every trial would draw anew."""
+    for override in overrides:
+        key = override.partition("=")[0].lstrip("+~")
+        if key in space:
+            raise ConfigError(f"{override} has no effect, as {SEARCH} has {key}, which each trial draws; leave one out")
 
 
 @dataclass(frozen=True)
@@ -91,7 +100,7 @@ class Tuning:
         drawn = [f"{key}={values.suggest(trial, key)}" for key, values in self.space.items()]
         judge = None
         try:
-            config = _compose([*self.overrides, *drawn])
+            config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
             judge = _Judge(trial, self.objective, config)
             train(config, self.folder / f"trial={trial.number}", None, judge)
@@ -143,19 +152,6 @@ class _Judge(Silence):
             trainer.stop()
 
 
-def _compose(overrides: Sequence[str]) -> dict[str, Any]:
-    """The resolved configuration with these overrides.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    try:
-        with initialize_config_dir(str(config_dir()), version_base="1.3"):
-            return plain(compose("train", list(overrides)))
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(" ".join(str(error).split())) from error
-
-
 def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any:
     """The study in the storage, new or to go on with.
 
@@ -165,7 +161,12 @@ def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    tuning.folder.mkdir(parents=True, exist_ok=True)
+    try:
+        tuning.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--folder '{tuning.folder}' cannot be made: {error.strerror}; choose another") from error
+    if not os.access(tuning.folder, os.W_OK):
+        raise ConfigError(f"--folder '{tuning.folder}' cannot be written to; choose another")
     storage = arguments.storage or f"sqlite:///{tuning.folder.absolute()}/{STUDY}"
     pruner = optuna.pruners.MedianPruner(WARM_UP_TRIALS, WARM_UP_EVALUATIONS)
     try:
@@ -209,13 +210,14 @@ def _print_best(study: Any, tuning: Tuning) -> None:
         raise CarrlError("no trial was completed; allow more --trials or a longer --timeout")
     best = study.best_trial
     drawn = [f"{key}={value}" for key, value in best.params.items()]
-    command = f"carrl train {shlex.join([*tuning.overrides, *drawn])}"
+    fixed = [each for each in tuning.overrides if not is_search(each)]  # which training would not read
+    command = f"carrl train {shlex.join([*fixed, *drawn])}"
     print(f"trial {best.number} is the best; train with its settings:\n\n  {command}")
     print(f"\nresults in {tuning.folder.absolute()}")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="carrl tune",
         description="Searches for the settings that do best, with Optuna. The configuration's key search says among "
         "which; conf/experiment/tune.yaml is an example.",
