@@ -41,9 +41,8 @@ def check_keys(config: Mapping[str, Any]) -> None:
             remedy = f"choose {key}={'|'.join(options_with(key))}" if key in TARGETS else f"write {key}=VALUE"
             raise ConfigError(f"{key} is left out, but training needs it; {remedy}")
     if config.get("resume") is not None:
-        raise ConfigError(
-            f"resume is {shown(config['resume'])}; it counts only where it is typed: carrl train resume=RUN"
-        )
+        run = shown(config["resume"])
+        raise ConfigError(f"resume is {run}; it counts only where it is typed, as in carrl train resume=RUN")
 
 
 def explain(error: Exception) -> str:
@@ -60,7 +59,8 @@ def explain(error: Exception) -> str:
     if key in real_keys():
         group = key.partition(".")[0]
         options = [f"{group}={option}" for option in options_with(group) if key in real_keys(group, option)]
-        return f"{key} is a key of {' and '.join(options)} only; choose {'it' if len(options) == 1 else 'one of these'}, too"
+        choice = "one of these" if options[1:] else "it"
+        return f"{key} is a key of {' and '.join(options)} only; choose {choice}, too"
     return f"there is no key {shown_key(key)}{did_you_mean_key(key)}"
 
 

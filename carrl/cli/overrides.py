@@ -121,7 +121,7 @@ def readable_overrides(overrides: Sequence[str], is_sweep: bool | None) -> list[
 
 def _check_effect(override: "Override", is_sweep: bool | None) -> None:
     """Raises ConfigError for what only a sweep, or only a single run, would heed."""
-    key, typed = override.key_or_group, override.input_line
+    key, typed = override.key_or_group, str(override.input_line)
     if is_sweep is not None and is_search(typed) and not override.is_delete():
         raise ConfigError(f"{typed} has no effect on carrl train; carrl tune searches")
     if is_sweep is None and re.match(r"hydra[./]", key):

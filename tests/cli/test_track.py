@@ -63,6 +63,8 @@ def test_show_draws_a_picture_and_says_where(capsys, folder):
     assert main(["track", "show", "paper"]) == 0
     assert capsys.readouterr().out == "paper.png\n"
     assert main(["track", "show", "paper", "--out", "map.png"]) == 0
+    assert main(["track", "show", "paper", "--out", "map.svg"]) == 0
+    assert (folder / "map.svg").read_bytes().startswith(b"<?xml")
     with Image.open(folder / "map.png") as image:
         assert image.format == "PNG"
         assert image.width > 500

@@ -254,6 +254,26 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, message, tmp_path,
     assert output.out == ""
 
 
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--starts", "0"], "starts"),
+        (["--starts", "many"], "argument --starts: invalid int value: 'many'; carrl evaluate --help tells more"),
+        (
+            ["--policy", "rule", "--checkpoint", "last"],
+            "--checkpoint has no effect on --policy rule; leave one of them",
+        ),
+        (["--policy", "gredy"], "argument --policy: invalid choice: 'gredy'"),
+        (["--trak", "oval"], "unrecognized arguments: --trak oval; did you mean --track?"),
+    ],
+)
+def test_a_flag_of_evaluate_without_sense_is_one_sentence(run, flags, says, capsys):
+    assert main(["evaluate", str(run), *flags]) == 2
+    errors = capsys.readouterr().err
+    assert says in errors
+    assert errors.count("\n") == 1
+
+
 def test_evaluating_on_a_bad_track_is_refused(run, tmp_path, capsys):
     (tmp_path / "bad.csv").write_text("# x_m,y_m\n1,2\n")
     assert main(["evaluate", str(run), "--track", str(tmp_path / "bad.csv")]) == 2
