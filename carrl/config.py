@@ -120,11 +120,24 @@ def _check_values(
             raise ConfigError(f"{name} has no key {shown(key)}; {target.__name__} takes {', '.join(chosen)}")
         if key in hints and not _fits(value, hints[key]):
             wanted = getattr(hints[key], "__name__", None) if inspect.isclass(hints[key]) else None
-            raise ConfigError(f"{name}.{key} is {shown(value)}; it must be of type {wanted or hints[key]}")
+            remedy = f"; write {shown(whole(value))}" if _fits(whole(value), hints[key]) else ""
+            raise ConfigError(f"{name}.{key} is {shown(value)}; it must be of type {wanted or hints[key]}{remedy}")
         _check_size(f"{name}.{key}", value)
     missing = [key for key in chosen if key not in values and parameters[key].default is inspect.Parameter.empty]
     if missing:
         raise ConfigError(f"{name} lacks {', '.join(missing)}; {target.__name__} needs a value for each")
+
+
+def is_whole_number(value: object) -> bool:
+    """Whether this is a whole number; true and false are none, though Python counts with them."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def whole(value: Any) -> Any:
+    """The value with whole numbers for floats such as 1e5 that stand for one, in a list, too."""
+    if isinstance(value, list):
+        return [whole(item) for item in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _check_size(name: str, value: Any) -> None:

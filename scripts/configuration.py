@@ -13,8 +13,9 @@ Written by `python scripts/configuration.py` from the files in `conf/`; a test c
 
 `carrl train GROUP=OPTION` picks an option of a group, `carrl train GROUP.KEY=VALUE` changes a value of the option that is
 picked, and `-m` with commas between options or values sweeps over them. An experiment is a set of such choices, and what is
-typed beside it counts. A misspelt key, a value of a wrong type or out of range, and parts that do not go together each end
-in one sentence and exit code 2, before training.
+typed beside it counts; `--config-dir FOLDER` adds a folder with experiments and options of your own. Nothing that is typed, or
+stands in such a file, is ignored: a key, option or flag that there is not, a setting without effect, a value of a wrong type or out
+of range, and parts that do not go together each end in one sentence, with what may have been meant, and exit code 2, before training.
 
 ```console
 $ carrl train loss=double_dqn target_updater=soft target_updater.tau=0.01

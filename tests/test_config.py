@@ -85,7 +85,7 @@ def test_every_key_has_a_comment_with_its_unit_or_effect(leaf):
             "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout",
         ),
         ({"rays": "many"}, "sensor.rays is 'many'; it must be of type int"),
-        ({"rays": 7.0}, "sensor.rays is 7.0; it must be of type int"),
+        ({"rays": 7.0}, "sensor.rays is 7.0; it must be of type int; write 7"),
         ({"rays": True}, "sensor.rays is True; it must be of type int"),
         ({"max_range": None}, "sensor.max_range is None; it must be of type float"),
         ({"max_range": -1.0}, "sensor.max_range is -1.0; it must be a positive number of metres"),

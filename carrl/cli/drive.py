@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from carrl.cli.parser import Parser
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
 from carrl.run.build import build_world
@@ -158,7 +159,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="carrl drive", description="Drive a track yourself; H shows the keys.")
+    parser = Parser(prog="carrl drive", description="Drive a track yourself; H shows the keys.")
     parser.add_argument("--track", metavar="NAME|FILE", help="default: the run's, or without a run paper")
     parser.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
     parser.add_argument("--fps", type=float, metavar="F", help="time steps a second; default: real time")

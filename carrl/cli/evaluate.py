@@ -10,7 +10,9 @@ from typing import Any
 import torch
 
 from carrl.cli.evaluation_table import print_evaluation
+from carrl.cli.parser import Parser
 from carrl.cli.road_warning import warn_of_roads
+from carrl.errors import ConfigError
 from carrl.printable import printable
 from carrl.run.build import build_world
 from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
@@ -29,6 +31,8 @@ Laps = list[list[Drive]]
 def main(argv: list[str]) -> int:
     """Prints rows for each track, or one JSON document."""
     arguments = _parser().parse_args(argv)
+    if arguments.checkpoint and arguments.policy != "greedy":
+        raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
     torch.set_num_threads(1)
     runs = seed_folders(Path(arguments.run))
     if arguments.policy != "greedy":
@@ -40,7 +44,7 @@ def main(argv: list[str]) -> int:
     warn_of_roads(tracks, world)
     survey = Survey(world, tracks, arguments.starts)
     policies = [
-        _make_policy(arguments.policy, run, arguments.checkpoint, config)
+        _make_policy(arguments.policy, run, arguments.checkpoint or "best", config)
         for run, config in zip(runs, configs, strict=True)
     ]
     laps = [survey.drive(policy) for policy in policies]
@@ -64,7 +68,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="carrl evaluate",
         description="Drives a run's policy without exploration, and a hand-written rule with the same car and sensors.",
     )
@@ -78,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="start places, spread along the track")
     parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
-    parser.add_argument("--checkpoint", choices=("best", "last"), default="best", help="which of the run's networks")
+    parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     return parser
 

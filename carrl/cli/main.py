@@ -1,9 +1,11 @@
 """The `carrl` command: finds the verb, runs it, turns a user's mistake into one sentence and exit code 2."""
 
 import importlib
-import os
 import sys
+from contextlib import suppress
 
+import carrl
+from carrl.cli.output import OutputClosedError, guarded_output
 from carrl.errors import CarrlError
 from carrl.printable import printable
 
@@ -17,29 +19,56 @@ VERBS = {
     "track": "list, draw, check and make up tracks",
 }
 _VERB_LINES = "\n".join(f"  {verb:<10}{what}" for verb, what in VERBS.items())
-USAGE = f"usage: carrl VERB ...\n\n{_VERB_LINES}\n\ncarrl VERB --help tells more."
+USAGE = f"""usage: carrl VERB ...
+
+{_VERB_LINES}
+
+carrl VERB --help tells more; carrl --version names the version.
+Completion for bash and zsh: eval "$(carrl --shell-completion bash)", or zsh"""
 
 
 def main(argv: list[str] | None = None) -> int:
     """Runs one verb and returns the process's exit code: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
     arguments = sys.argv[1:] if argv is None else argv
+    exit_code = 0
+    try:
+        with guarded_output():
+            exit_code = _run(arguments)
+    except OutputClosedError:  # `carrl log info FILE | head`: the reader has what it wanted
+        pass
+    except CarrlError as error:
+        _complain(str(error))
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return exit_code
+
+
+def _run(arguments: list[str]) -> int:
     verb = arguments[0] if arguments else "--help"
     if verb in ("-h", "--help"):
         print(USAGE)
         return 0
-    if verb not in VERBS:
-        print(f"carrl: no verb {verb!r}; choose one of: {', '.join(VERBS)}", file=sys.stderr)
-        return 2
-    try:
-        return importlib.import_module(f"carrl.cli.{verb}").main(arguments[1:])
-    except CarrlError as error:
-        print(f"carrl: {printable(str(error))}", file=sys.stderr)  # a message may name what a file holds
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:  # `carrl log info FILE | head`: the reader has what it wanted
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if "--version" in arguments:
+        print(f"carrl {carrl.__version__}")
         return 0
+    if verb in ("--shell-completion", "--complete"):
+        from carrl.cli.completion import complete, print_script
+
+        return complete(arguments[1:]) if verb == "--complete" else print_script(arguments[1:])
+    if verb not in VERBS:
+        from carrl.cli.known_keys import did_you_mean
+
+        close = did_you_mean(verb, VERBS)
+        raise CarrlError(f"no verb {verb!r}{close or ';'} choose one of: {', '.join(VERBS)}")
+    exit_code: int = importlib.import_module(f"carrl.cli.{verb}").main(arguments[1:])
+    return exit_code
+
+
+def _complain(message: str) -> None:
+    """Prints a message, which may name what a file holds, if anybody listens."""
+    with suppress(OSError, ValueError, AttributeError):
+        print(f"carrl: {printable(message)}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -3,17 +3,28 @@
 import argparse
 from pathlib import Path
 
+from carrl.cli.parser import Parser
+from carrl.errors import ConfigError
 from carrl.run.report.document import as_json
 from carrl.run.report.findings import Findings, find
 from carrl.run.report.runs_table import best_lap_of
 from carrl.run.report.text import report_text
+from carrl.view.picture_file import picture_format
+
+BIN_SIZE = 0.25
+"""Of the search for the best possible lap, m."""
 
 
 def main(argv: list[str]) -> int:
     """Prints a report in Markdown, or as JSON, and on demand writes it with its figures into a folder."""
     arguments = _parser().parse_args(argv)
+    _check(arguments)
     findings = find(arguments.directories, arguments.baseline)
-    best_lap = best_lap_of(findings.runs, arguments.bin_size) if arguments.best_lap else None
+    best_lap = (
+        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size)
+        if arguments.best_lap
+        else None
+    )
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:
@@ -29,8 +40,16 @@ def main(argv: list[str]) -> int:
     return 0
 
 
+def _check(arguments: argparse.Namespace) -> None:
+    """Raises ConfigError for a flag that cannot be done as asked, before runs are read."""
+    if arguments.curves:
+        picture_format(arguments.curves, "--curves")
+    if arguments.bin_size is not None and not arguments.best_lap:
+        raise ConfigError("--bin-size has no effect without --best-lap; add that, or leave it out")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="carrl report",
         description="Compares runs: groups those that differ in their seed alone, tells which groups differ "
         "significantly, and names runs that are missing, broken or there twice.",
@@ -43,16 +62,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--baseline", metavar="GROUP", help='compare all groups with this one, named as in the report: "loss=dqn"'
     )
-    parser.add_argument("--curves", type=Path, metavar="PNG", help="draw every run's learning curve into this file")
+    parser.add_argument(
+        "--curves",
+        type=Path,
+        metavar="FILE",
+        help="draw every run's learning curve into this file, a .png, .pdf or .svg",
+    )
     parser.add_argument(
         "--best-lap", action="store_true", help="search for the best possible lap, and tell how far each run is from it"
     )
     parser.add_argument(
         "--bin-size",
         type=float,
-        default=0.25,
         metavar="M",
-        help="of the search, m; half of it takes four times longer",
+        help=f"of the search, m (default: {BIN_SIZE}); half of it takes four times longer",
     )
     return parser
 

@@ -13,13 +13,15 @@ from contextlib import ExitStack, contextmanager
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
+from carrl.cli.overrides import quote
+from carrl.cli.plain import composed
 from carrl.cli.signals import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.sweep_hooks import Beginning
 from carrl.errors import CarrlError
 from carrl.run.sweep import job_name
 from carrl.view.sweep import SweepConsole
 
-FLAGS = ("-m", "--multirun", "hydra.mode=MULTIRUN")
+FLAGS = ("--multirun", "hydra.mode=MULTIRUN")
 _LOOKS_EVERY_S = 1.0
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -39,6 +41,7 @@ def sweep(overrides: Sequence[str], run_hydra: Callable[[Sequence[str], Callable
     for name in _THREADS:  # of the processes that run jobs, one core for each
         os.environ.setdefault(name, "1")
     jobs = _plan(overrides)
+    _check_first(jobs, overrides)
     console = SweepConsole(len(jobs))
     with Beginning.lock:
         with _stopping_on_signals(), _watching(console):
@@ -85,6 +88,21 @@ def _plan(overrides: Sequence[str]) -> list[list[str]]:
     except (HydraException, TypeError, AttributeError, AssertionError):  # wrong ones, of which Hydra tells, or a glob
         return []
     return jobs
+
+
+def _check_first(jobs: Sequence[Sequence[str]], overrides: Sequence[str]) -> None:
+    """Composes the first job, so that a key that nothing reads is answered before anything begins.
+
+    Raises:
+        ConfigError: its configuration does not compose, or has such a key.
+    """
+    flags = dict(each.partition("=")[::2] for each in overrides if each.startswith("--"))
+    if not jobs or flags.keys() & {"--config-path", "--config-name"}:
+        return
+    deleted = [each for each in overrides if each.startswith("~") and "=" not in each]
+    folder = flags.get("--config-dir")
+    searched = [f"hydra.searchpath=[{quote('file://' + os.path.abspath(folder))}]"] if folder else []
+    composed([*jobs[0], *deleted, *searched])
 
 
 def _naming(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from carrl.cli.parser import Parser
 from carrl.errors import TrackError
 from carrl.printable import printable
 
@@ -32,7 +33,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="carrl track", description="list, draw, check and make up tracks")
+    parser = Parser(prog="carrl track", description="list, draw, check and make up tracks")
     verbs = parser.add_subparsers(metavar="VERB", required=True)
 
     def add_verb(name: str, run: Any, what: str, json_flag: bool = True) -> argparse.ArgumentParser:
@@ -44,9 +45,13 @@ def _parser() -> argparse.ArgumentParser:
 
     listing = add_verb("list", _list, "the tracks that come with CarRL, or those of folders")
     listing.add_argument("folders", nargs="*", metavar="FOLDER", help="whose circuits to list, and those below it")
-    show = add_verb("show", _show, "draw a track as a PNG", json_flag=False)
+    show = add_verb("show", _show, "draw a track", json_flag=False)
     show.add_argument("track", metavar="NAME|FILE", help="a built-in track, or a .csv, .yaml or .npy file")
-    show.add_argument("--out", metavar="FILE.png", help="default: the track's name; an older picture is replaced")
+    show.add_argument(
+        "--out",
+        metavar="FILE",
+        help="a .png, .pdf or .svg; default: the track's name.png; an older picture is replaced",
+    )
     check = add_verb("check", _check, "measure tracks and find their faults; exit code 1 where there are any")
     check.add_argument(
         "tracks",
@@ -101,15 +106,15 @@ def _list(arguments: argparse.Namespace) -> int:
 
 def _show(arguments: argparse.Namespace) -> int:
     from carrl.sim.track import Track
-    from carrl.view.figure import save_png
+    from carrl.view.figure import save_figure
+    from carrl.view.picture_file import picture_format
     from carrl.view.track_map import draw_track_map
 
     track = Track.load(arguments.track)
     path = Path(arguments.out or f"{Path(track.name).stem}.png")
-    if path.suffix.lower() != ".png":
-        raise TrackError(f"--out is '{path}'; the picture is a PNG, so its name must end in .png")
+    picture_format(path, "--out")
     track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
-    save_png(track_map.figure, path)
+    save_figure(track_map.figure, path)
     print(printable(str(path)))
     return 0
 

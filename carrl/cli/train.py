@@ -15,6 +15,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from carrl.cli.known_keys import explain
+from carrl.cli.overrides import Arguments, readable_overrides, sort_arguments, unquote
 from carrl.cli.plain import plain
 from carrl.cli.records import HYDRA, OVERRIDES, write_records
 from carrl.cli.sweep import FLAGS, sweep
@@ -33,26 +35,27 @@ _BEFORE_TRAINING = {".hydra", str(CONFIG), str(HYDRA), str(OVERRIDES), LOCK}
 
 def main(argv: list[str]) -> int:
     """Runs Hydra on the overrides, for one run or, with -m, for many; with `resume=RUN` it goes on with that run."""
-    resumed = [argument.removeprefix(RESUME) for argument in argv if argument.startswith(RESUME)]
-    if len(resumed) > 1:
-        raise ConfigError(f"{RESUME} is given {len(resumed)} times; one run is resumed at a time")
-    if resumed and resumed[-1] not in ("", "null"):
-        return _resume(Path(resumed[-1]), [argument for argument in argv if not argument.startswith(RESUME)])
-    arguments = [override for argument in argv for override in name_files(argument)]
-    if any(flag in arguments for flag in FLAGS):
+    typed = sort_arguments(argv)
+    run = _resumed_run(typed.overrides)
+    if run is not None:
+        return _resume(run, typed)
+    is_sweep = any(flag in FLAGS for flag in (*typed.flags, *typed.overrides))
+    arguments = [*typed.flags, *readable_overrides(typed.overrides, is_sweep)]
+    if is_sweep:
         return sweep(arguments, _run_hydra)
     failures: list[CarrlError] = []
 
     def job(config: DictConfig) -> None:
-        from carrl.cli.training import train
-
         path = Path(HydraConfig.get().runtime.output_dir)
         try:
+            values = plain(config)
+            from carrl.cli.training import train
+
             with locked(path):
                 check_holds_no_run(path)
                 with _leaving_nothing_if_refused(path):
                     write_records(path)
-                    train(plain(config), path)
+                    train(values, path)
         except CarrlError as error:  # kept from Hydra, which would print it in its own way
             failures.append(error)
             with suppress(OSError):  # it is not empty, but for a run that was refused
@@ -62,6 +65,23 @@ def main(argv: list[str]) -> int:
     if failures:
         raise failures[0]
     return 0
+
+
+def _resumed_run(overrides: Sequence[str]) -> Path | None:
+    """The run that is to be gone on with, if any.
+
+    Raises:
+        ConfigError: there are several.
+    """
+    values = [unquote(override.lstrip("+").removeprefix(RESUME)) for override in overrides if _is_resume(override)]
+    runs = [value for value in values if value not in ("", "null")]
+    if len(runs) > 1:
+        raise ConfigError(f"{RESUME} is given {len(runs)} times; one run is resumed at a time")
+    return Path(runs[0]) if runs else None
+
+
+def _is_resume(override: str) -> bool:
+    return override.lstrip("+").startswith(RESUME)
 
 
 def _run_hydra(arguments: Sequence[str], job: Callable[[DictConfig], None]) -> None:
@@ -79,21 +99,21 @@ def _run_hydra(arguments: Sequence[str], job: Callable[[DictConfig], None]) -> N
     except (HydraException, OmegaConfBaseException) as error:
         launcher = "hydra/launcher" in str(error) and any("hydra/launcher=" in argument for argument in arguments)
         remedy = "; joblib and submitit need pip install 'carrl[sweep]'" if launcher else ""
-        raise ConfigError(" ".join(str(error).split()) + remedy) from error
+        raise ConfigError(explain(error) + remedy) from error
     except OSError as error:
         raise CarrlError(f"the run's folder '{error.filename}' cannot be written: {error.strerror}") from error
 
 
-def _resume(run: Path, arguments: list[str]) -> int:
-    flags = [argument for argument in arguments if argument.startswith("-")]
-    if flags:
-        raise ConfigError(f"{flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
+def _resume(run: Path, typed: Arguments) -> int:
+    if typed.flags:
+        raise ConfigError(f"{typed.flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
     from carrl.cli.training import train
     from carrl.run.resumption import resume
 
+    changes = [override for override in typed.overrides if not _is_resume(override)]
     load_config(run)  # so that nothing is written to a folder that is no run's
     with locked(run):
-        resumption = resume(run, arguments)
+        resumption = resume(run, readable_overrides(changes, is_sweep=False))
         for remark in resumption.remarks:
             print(printable(remark))
         train(resumption.config, run, resumption.state)
@@ -111,24 +131,3 @@ def _leaving_nothing_if_refused(path: Path) -> Iterator[None]:
             for name in sorted(found - {LOCK}, reverse=True):
                 (path / name).rmdir() if (path / name).is_dir() else (path / name).unlink()
         raise
-
-
-def name_files(argument: str) -> list[str]:
-    """Makes paths of files absolute and quotes them, as Hydra reads a path such as `seed=0/train.mcap` only quoted.
-
-    `track=FILE` stands for the track group's option `file`; FILE,FILE sweeps. `data.path=[FILE,FILE]` is a list.
-    """
-    key, _, value = argument.partition("=")
-    if key == "track" and all("." in path or os.sep in path for path in value.strip("'\"").split(",")):
-        return ["track=file", f"track.name_or_path={_quote_paths(value)}"]
-    if key == "track.folder" and value not in ("", "null"):
-        return [f"track.folder={_quote_paths(value)}"]
-    if key == "data.path" and value not in ("", "???", "[]"):
-        is_list = value.startswith("[") and value.endswith("]")
-        return [f"data.path=[{_quote_paths(value[1:-1])}]" if is_list else f"data.path={_quote_paths(value)}"]
-    return [argument]
-
-
-def _quote_paths(value: str) -> str:
-    paths = [os.path.abspath(path.strip().strip("'\"")) for path in value.split(",")]
-    return ",".join("'" + path.replace("'", "\\'") + "'" for path in paths)

@@ -13,8 +13,8 @@ from torchrl import logger as torchrl_logger
 
 from carrl.cli.road_warning import warn_of_roads
 from carrl.cli.signals import stopping_on_signals
-from carrl.config import build_node
-from carrl.errors import CarrlError, CheckpointError, ConfigError
+from carrl.config import build_node, is_whole_number
+from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.record.writer import LogWriter
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning, Pipeline, World, build_offline_pipeline, build_pipeline, learns_from_logs
@@ -31,6 +31,8 @@ from carrl.run.trainer import Trainer
 from carrl.view.console import Display, OfflineDisplay, Silence, TrainingDisplay, print_summaries, print_summary
 
 Config = dict[str, Any]
+MOST_THREADS = 1024
+"""More than any machine has cores; torch takes no number of more than 31 bits."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,7 @@ def train(
         KeyboardInterrupt: a signal did, with everything saved.
     """
     torchrl_logger.setLevel("WARNING")
-    if not isinstance(config["threads"], int) or config["threads"] < 1:
-        raise ConfigError(f"threads is {config['threads']}; it must be a whole number of at least 1")
-    torch.set_num_threads(config["threads"])
+    torch.set_num_threads(_checked_threads(config["threads"]))
     with _naming_exhaustion(), ExitStack() as stack:
         prepare = _prepare_offline if learns_from_logs(config) else _prepare
         try:
@@ -88,6 +88,17 @@ def train(
     if display is None:
         _print(summaries, session, path)
     return summaries
+
+
+def _checked_threads(threads: Any) -> int:
+    """The number of threads.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not is_whole_number(threads) or not 1 <= threads <= MOST_THREADS:
+        raise ConfigError(f"threads is {shown(threads)}; it must be a whole number from 1 to {MOST_THREADS}")
+    return int(threads)
 
 
 def _print(summaries: list[dict[str, Any]], session: Session, path: Path) -> None:

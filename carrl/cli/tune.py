@@ -1,6 +1,8 @@
 """`carrl tune`: searches for the settings that do best, and gives up hopeless trials early."""
 
 import argparse
+import math
+import os
 import shlex
 import time
 from collections.abc import Mapping, Sequence
@@ -10,15 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
-
-from carrl.cli.plain import plain
+from carrl.cli.overrides import is_search, readable_overrides
+from carrl.cli.parser import Parser
+from carrl.cli.plain import composed
 from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
-from carrl.cli.train import name_files
 from carrl.cli.training import train
-from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 from carrl.run.lock import locked
 from carrl.run.new_folder import check_holds_no_run, make_new
@@ -40,12 +38,16 @@ def main(argv: list[str]) -> int:
         raise ConfigError("carrl tune needs optuna; pip install 'carrl[tune]'")
     if arguments.trials < 1:
         raise ConfigError(f"--trials is {arguments.trials}; it must be at least 1")
-    overrides = [override for each in arguments.overrides for override in name_files(each)]
-    config = _compose(overrides)
+    if arguments.timeout is not None and not 0 < arguments.timeout < math.inf:
+        raise ConfigError(f"--timeout is {arguments.timeout}; it must be a positive number of seconds")
+    overrides = readable_overrides(arguments.overrides, is_sweep=None)
+    config = composed(overrides)
     if config.get("data"):
         raise ConfigError("data is given, but only training in the simulator can be tuned; leave data=log out")
     space = parse_search_space(config.get(SEARCH))
+    _check_is_free(overrides, space)
     folder = arguments.folder or make_new(Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}"))
+    _make_writable(folder)
     tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder)
     with locked(folder, waiting=True):  # several commands may share a study, but only one may make it
         study = _open_study(arguments, tuning, config["seed"])
@@ -63,6 +65,14 @@ def main(argv: list[str]) -> int:
         console.print_results(_rows(study))
     _print_best(study, tuning)
     return 0
+
+
+def _check_is_free(overrides: Sequence[str], space: SearchSpace) -> None:
+    """Raises ConfigError for a typed setting that every trial would draw anew."""
+    for override in overrides:
+        key = override.partition("=")[0].lstrip("+~")
+        if key in space:
+            raise ConfigError(f"{override} has no effect, as {SEARCH} has {key}, which each trial draws; leave one out")
 
 
 @dataclass(frozen=True)
@@ -94,7 +104,7 @@ class Tuning:
         drawn = [f"{key}={values.suggest(trial, key)}" for key, values in self.space.items()]
         judge = None
         try:
-            config = _compose([*self.overrides, *drawn])
+            config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
             judge = _Judge(trial, self.objective, config)
             folder = self.folder / f"trial={trial.number}"
@@ -149,17 +159,18 @@ class _Judge(Silence):
             trainer.stop()
 
 
-def _compose(overrides: Sequence[str]) -> dict[str, Any]:
-    """The resolved configuration with these overrides.
+def _make_writable(folder: Path) -> None:
+    """Makes the study's folder.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: it cannot be made or written to.
     """
     try:
-        with initialize_config_dir(str(config_dir()), version_base="1.3"):
-            return plain(compose("train", list(overrides)))
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(" ".join(str(error).split())) from error
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--folder '{folder}' cannot be made: {error.strerror}; choose another") from error
+    if not os.access(folder, os.W_OK):
+        raise ConfigError(f"--folder '{folder}' cannot be written to; choose another")
 
 
 def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any:
@@ -217,13 +228,14 @@ def _print_best(study: Any, tuning: Tuning) -> None:
         raise CarrlError("no trial was completed; allow more --trials or a longer --timeout")
     best = study.best_trial
     drawn = [f"{key}={value}" for key, value in best.params.items()]
-    command = f"carrl train {shlex.join([*tuning.overrides, *drawn])}"
+    fixed = [each for each in tuning.overrides if not is_search(each)]  # which training would not read
+    command = f"carrl train {shlex.join([*fixed, *drawn])}"
     print(f"trial {best.number} is the best; train with its settings:\n\n  {command}")
     print(f"\nresults in {tuning.folder.absolute()}")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="carrl tune",
         description="Searches for the settings that do best, with Optuna. The configuration's key search says among "
         "which; conf/experiment/tune.yaml is an example.",

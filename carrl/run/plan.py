@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from carrl.config import is_whole_number, whole
 from carrl.errors import ConfigError, shown
 
 MOST_AGENTS = 4096
@@ -52,20 +54,21 @@ class TrainingPlan:
         return [checked_seed(each) for each in named]
 
 
-def checked_seed(seed: object) -> int:
+def checked_seed(seed: Any) -> int:
     """The seed, which is a whole number of at least 0 and fits torch's generators.
 
     Raises:
         ConfigError: it is not.
     """
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= LARGEST_SEED:
-        raise ConfigError(f"seed is {shown(seed)}; it must be a whole number of at least 0 and less than 2^63")
-    return seed
+    if not is_whole_number(seed) or not 0 <= seed <= LARGEST_SEED:
+        remedy = f"; write {shown(whole(seed))}" if isinstance(seed, float) and is_whole_number(whole(seed)) else ""
+        raise ConfigError(f"seed is {shown(seed)}; it must be a whole number of at least 0 and less than 2^63{remedy}")
+    return int(seed)
 
 
 def _expand(entry: int | str) -> list[int]:
-    if isinstance(entry, int):
-        return [entry]
+    if not isinstance(entry, str):
+        return [checked_seed(entry)]
     first, dots, last = entry.partition("..")
     numbers = all(end.isdecimal() and len(end) < 20 for end in (first, last))
     if not (dots and numbers and int(first) <= int(last) < int(first) + MOST_AGENTS):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from carrl.config import is_whole_number
 from carrl.errors import ConfigError
 
 MOST_RAYS = 4096
@@ -35,7 +36,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a fan that cannot be built."""
-        if not (isinstance(self.rays, int) and 1 <= self.rays <= MOST_RAYS):
+        if not (is_whole_number(self.rays) and 1 <= self.rays <= MOST_RAYS):
             raise ConfigError(f"sensor.rays is {self.rays}; it must be a whole number from 1 to {MOST_RAYS}")
         if not (_is_number(self.field_of_view) and 0 < self.field_of_view < 360):
             raise ConfigError(f"sensor.field_of_view is {self.field_of_view}; it must lie between 0 and 360 degrees")
@@ -75,4 +76,4 @@ class Sensor:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -295,7 +295,7 @@ def builtin_names() -> list[str]:
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:
-    is_number = isinstance(gate_spacing, int | float)
+    is_number = isinstance(gate_spacing, int | float) and not isinstance(gate_spacing, bool)
     if gate_spacing is not None and not (is_number and MIN_GATE_SPACING <= gate_spacing < float("inf")):
         raise TrackError(
             f"track '{name}': gate_spacing is {gate_spacing}; it must be a number of at least {MIN_GATE_SPACING} m"

@@ -54,7 +54,7 @@ class VehicleModel(ABC):
     def __post_init__(self) -> None:
         """Raises ConfigError unless every value is a positive number, neither tiny nor huge."""
         for name, value in vars(self).items():
-            if not (isinstance(value, int | float) and 0 < value < math.inf):
+            if isinstance(value, bool) or not (isinstance(value, int | float) and 0 < value < math.inf):
                 raise ConfigError(f"vehicle.{name} is {value}; it must be a positive number")
             if not LEAST <= value <= MOST:
                 raise ConfigError(f"vehicle.{name} is {value}; it must lie between {LEAST:g} and {MOST:g}")

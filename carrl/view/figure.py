@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from carrl.files import write_whole
+from carrl.view.picture_file import picture_format
 
 WIDTH = 7.0
 """Width of a figure, inches."""
@@ -47,12 +48,15 @@ def plain_axes(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
-def save_png(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Writes the figure to `path`, whole or not at all: a reader sees the old picture or the new one.
 
+    The format is that which the name ends in: .png, .pdf or .svg.
+
     Raises:
-        CarrlError: it cannot be written there.
+        CarrlError: it ends in another, or cannot be written there.
     """
-    picture = BytesIO()
-    figure.savefig(picture, format="png", dpi=DPI, facecolor="white")
+    kind, picture = picture_format(path), BytesIO()
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    figure.savefig(picture, format=kind, dpi=DPI, facecolor="white", metadata=undated.get(kind))
     write_whole(path, picture.getvalue())

@@ -20,7 +20,7 @@ from carrl.sim.track import Track
 from carrl.sim.vehicle import Action
 from carrl.view.action_colours import action_colours
 from carrl.view.close_up import draw_close_up
-from carrl.view.figure import BLACK, GREEN, INK, YELLOW, save_png
+from carrl.view.figure import BLACK, GREEN, INK, YELLOW, save_figure
 from carrl.view.track_map import Floats, TrackMap, draw_track_map
 
 ACTION_COLOURS = dict(zip(Action, action_colours(len(Action)), strict=True))
@@ -70,7 +70,7 @@ def draw_lap(
         if len(poses) > 0:
             view.axes.add_line(_end_mark(collided, *poses[-1, :2]))
     _draw_legend(track_map, actions, collided)
-    save_png(track_map.figure, path)
+    save_figure(track_map.figure, path)
 
 
 def ray_ends(pose: Floats, ranges: Floats, sensor_angles: Floats) -> Floats:

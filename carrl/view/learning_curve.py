@@ -12,7 +12,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from carrl.view.curve_panel import RunCurve, block_means, common_bounds, draw_panel, legend_of
-from carrl.view.figure import FAINT, INK, VERMILLION, new_figure, save_png
+from carrl.view.figure import FAINT, INK, VERMILLION, new_figure, save_figure
 
 __all__ = ["RunCurve", "block_means", "draw_learning_curve", "draw_learning_curves"]
 
@@ -25,10 +25,10 @@ TITLE_CHARACTERS = 90
 def draw_learning_curve(
     path: str | Path, episode_returns: Sequence[float], *, window: int = 20, first_lap_episode: int | None = None
 ) -> None:
-    """Writes a PNG of one run's learning curve.
+    """Writes a picture of one run's learning curve.
 
     Args:
-        path: where to write it; the folder must exist.
+        path: where to write it, a .png, .pdf or .svg; the folder must exist.
         episode_returns: one per finished episode, in order, [E]; may be empty.
         window: episodes per mean.
         first_lap_episode: where to mark the greedy policy's first lap, counted from 1; None for no mark.
@@ -45,14 +45,14 @@ def draw_learning_curve(
     axes.set_xlabel("episode", color=INK, fontsize=9)
     axes.set_ylabel("return per episode", color=INK, fontsize=9)
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, **legend_of(window, bounds))
-    save_png(figure, path)
+    save_figure(figure, path)
 
 
 def draw_learning_curves(path: str | Path, runs: Mapping[str, RunCurve], *, window: int = 20) -> None:
-    """Writes a PNG of many runs' learning curves as small multiples with common axes.
+    """Writes a picture of many runs' learning curves as small multiples with common axes.
 
     Args:
-        path: where to write it; the folder must exist.
+        path: where to write it, a .png, .pdf or .svg; the folder must exist.
         runs: label to run, in the order of the panels: row by row, at most five in a row.
         window: episodes per mean.
 
@@ -76,7 +76,7 @@ def draw_learning_curves(path: str | Path, runs: Mapping[str, RunCurve], *, wind
     figure.supxlabel("episode", color=INK, fontsize=9)
     figure.supylabel("return per episode", color=INK, fontsize=9)
     figure.legend(loc="outside upper center", **legend_of(window, bounds))
-    save_png(figure, path)
+    save_figure(figure, path)
 
 
 def _grid(count: int) -> tuple[int, int]:

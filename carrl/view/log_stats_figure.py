@@ -18,7 +18,7 @@ from carrl.errors import CarrlError
 from carrl.record.scene import TrackShape
 from carrl.view.action_colours import action_colours
 from carrl.view.curve_panel import RunCurve, common_bounds, draw_panel, legend_of
-from carrl.view.figure import BLUE, FAINT, INK, VERMILLION, YELLOW, new_figure, plain_axes, save_png
+from carrl.view.figure import BLUE, FAINT, INK, VERMILLION, YELLOW, new_figure, plain_axes, save_figure
 from carrl.view.log_stats import NO_EPISODE, LogStats, crowding, distinct
 from carrl.view.terminal_chart import round_step, span
 from carrl.view.wall_lines import connected_walls
@@ -58,7 +58,7 @@ def draw_log_stats(path: str | Path, stats: LogStats, title: str) -> None:
     _draw_lengths(panels["lengths"], stats)
     _draw_actions(panels["actions"], stats)
     _draw_crashes(figure, panels["map"], stats)
-    save_png(figure, path)
+    save_figure(figure, path)
 
 
 def _title(axes: Axes, title: str) -> None:

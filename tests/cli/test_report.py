@@ -112,3 +112,30 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, message, sweep, tm
     assert message in output.err
     assert output.err.count("\n") == 1
     assert output.out == ""
+
+
+@pytest.mark.parametrize(
+    ("ending", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml"), ("PDF", b"%PDF")]
+)
+def test_curves_are_drawn_in_the_format_that_the_name_asks_for(sweep, tmp_path, ending, begins):
+    path = tmp_path / f"curves.{ending}"
+    assert main(["report", str(sweep), "--curves", str(path)]) == 0
+    assert path.read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--curves", "c.jpg"], "--curves is 'c.jpg'; its name must end in .png, .pdf or .svg"),
+        (["--curves", "c"], "--curves is 'c'; its name must end in .png, .pdf or .svg"),
+        (["--bin-size", "0.5"], "--bin-size has no effect without --best-lap; add that, or leave it out"),
+        (["--bin-size", "x"], "argument --bin-size: invalid float value: 'x'; carrl report --help tells more"),
+        (["--jsn"], "unrecognized arguments: --jsn; did you mean --json? carrl report --help tells more"),
+    ],
+)
+def test_a_flag_that_cannot_be_done_is_one_sentence_and_exit_code_2(sweep, tmp_path, flags, says, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", str(sweep), *flags]) == 2
+    output = capsys.readouterr()
+    assert (output.out, output.err) == ("", f"carrl: {says}\n")
+    assert not list(tmp_path.glob("c*"))

@@ -54,7 +54,7 @@ def test_names_of_folders_have_no_path_in_them(overrides, name):
 
 
 def test_jobs_whose_names_would_be_the_same_are_numbered(tmp_path):
-    assert sweep(tmp_path, "recorder=none", "++recorder.note='a/x','b/x'") == 2  # refused, each in its own folder
+    assert sweep(tmp_path, "++recorder.note='a/x','b/x'") == 2  # refused, each in its own folder
     assert folders_of(tmp_path) == ["0", "1"]
 
 

@@ -63,6 +63,8 @@ def test_show_draws_a_picture_and_says_where(capsys, folder):
     assert main(["track", "show", "paper"]) == 0
     assert capsys.readouterr().out == "paper.png\n"
     assert main(["track", "show", "paper", "--out", "map.png"]) == 0
+    assert main(["track", "show", "paper", "--out", "map.svg"]) == 0
+    assert (folder / "map.svg").read_bytes().startswith(b"<?xml")
     with Image.open(folder / "map.png") as image:
         assert image.format == "PNG"
         assert image.width > 500
@@ -123,7 +125,7 @@ def test_random_replaces_a_file_only_when_told(capsys, folder):
     ("arguments", "says"),
     [
         (["show", "nowhere"], "track 'nowhere': no file of this path"),
-        (["show", "paper", "--out", "map.jpg"], "--out is 'map.jpg'; the picture is a PNG"),
+        (["show", "paper", "--out", "map.jpg"], "--out is 'map.jpg'; its name must end in .png, .pdf or .svg"),
         (["show", "paper", "--out", "no/map.png"], "'no/map.png' cannot be written: No such file or directory"),
         (["check", "paper", "--body-radius", "-1"], "--body-radius is -1.0; it must be a positive number"),
         (["random", "--count", "0"], "--count is 0; it must be at least 1"),

@@ -224,10 +224,10 @@ def test_runs_on_different_tracks_have_no_best_lap_in_common(run, tmp_path, caps
 
 BAD_INPUT = [
     (["train", "sedd=1"], "sedd"),
-    (["train", "loss=none"], "Available options in 'loss'"),
+    (["train", "loss=none"], "loss has no option none; choose one of: advantage_learning, cql, "),
     (["train", "track=nowhere.csv"], "no file of this path"),
     (["train", "track=./"], "this is a folder"),
-    (["train", "track=nowhere"], "Available options in 'track'"),
+    (["train", "track=nowhere"], "track has no option nowhere; choose one of: "),
     (["train", "vehicle.speed=-3"], "vehicle.speed is -3"),
     (["train", "optimizer.lr=-1"], "optimizer: Invalid learning rate"),
     (["train", "optimizer.lr=fast"], "optimizer"),
@@ -252,6 +252,26 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, message, tmp_path,
     assert message in output.err
     assert output.err.count("\n") == 1
     assert output.out == ""
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--starts", "0"], "starts"),
+        (["--starts", "many"], "argument --starts: invalid int value: 'many'; carrl evaluate --help tells more"),
+        (
+            ["--policy", "rule", "--checkpoint", "last"],
+            "--checkpoint has no effect on --policy rule; leave one of them",
+        ),
+        (["--policy", "gredy"], "argument --policy: invalid choice: 'gredy'"),
+        (["--trak", "oval"], "unrecognized arguments: --trak oval; did you mean --track?"),
+    ],
+)
+def test_a_flag_of_evaluate_without_sense_is_one_sentence(run, flags, says, capsys):
+    assert main(["evaluate", str(run), *flags]) == 2
+    errors = capsys.readouterr().err
+    assert says in errors
+    assert errors.count("\n") == 1
 
 
 def test_evaluating_on_a_bad_track_is_refused(run, tmp_path, capsys):

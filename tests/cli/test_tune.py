@@ -159,10 +159,19 @@ def test_a_wrong_search_space_is_named(entry):
     ("arguments", "message"),
     [
         (["experiment=fast"], "the configuration has no search"),
-        (["experiment=none"], "Available options in 'experiment'"),
+        (["experiment=none"], "experiment has no option none; choose one of: fast, generalist"),
         (["experiment=tune", "--trials", "0"], "--trials is 0"),
         (["experiment=tune", "data=log", "data.path=x.mcap"], "only training in the simulator can be tuned"),
         (["experiment=tune", "~search", "+search={optimizer.rl:{choices:[1]}}"], "optimizer.rl"),
+        (["experiment=tune", "--timeout", "0"], "--timeout is 0.0; it must be a positive number of seconds"),
+        (["experiment=tune", "--timeout", "nan"], "--timeout is nan; it must be a positive number of seconds"),
+        (["experiment=tune", "--trials", "many"], "argument --trials: invalid int value: 'many'; carrl tune --help"),
+        (["experiment=tune", "--trial-count", "3"], "unrecognized arguments: --trial-count"),
+        (["experiment=tune", "optimizer.lr=1"], "optimizer.lr=1 has no effect, as search has optimizer.lr, which each"),
+        (["experiment=tune", "+lr=1"], "there is no key lr; did you mean optimizer.lr?"),
+        (["experiment=tune", "seed=1,2"], "seed=1,2 has several values; choose one, or write a list as seed=[A,B]"),
+        (["experiment=tune", "hydra.run.dir=x"], "hydra.run.dir='x' has no effect on carrl tune; leave it out"),
+        (["experiment=tune", "resume=x"], "resume is 'x'; it counts only where it is typed, as in carrl train resume="),
         (["experiment=tune", "--storage", "nowhere"], "--storage 'nowhere' cannot be used"),
     ],
 )
@@ -171,6 +180,22 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, message, tmp_path,
     errors = capsys.readouterr().err
     assert message in errors
     assert errors.count("\n") == 1
+
+
+@needs_optuna
+def test_a_folder_that_is_a_file_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("kept")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert tune(folder) == 2
+        assert f"--folder '{folder}' cannot be made: " in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+@needs_optuna
+def test_a_folder_that_may_not_be_written_is_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("carrl.cli.tune.os.access", lambda path, mode: False)  # as for others than root
+    assert tune(tmp_path) == 2
+    assert capsys.readouterr().err == f"carrl: --folder '{tmp_path}' cannot be written to; choose another\n"
 
 
 def test_tuning_without_optuna_is_refused_with_the_remedy(monkeypatch, capsys):

@@ -17,7 +17,7 @@ from carrl.sim.track import Track
 from carrl.sim.vehicle import Action, Vehicle
 from carrl.view.close_up import draw_close_up
 from carrl.view.curve_panel import DOT, block_centres, common_bounds
-from carrl.view.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_png
+from carrl.view.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_figure
 from carrl.view.lap import ACTION_COLOURS, draw_lap, prevailing_actions, ray_ends, same_action_stretches
 from carrl.view.learning_curve import RunCurve, block_means, draw_learning_curve, draw_learning_curves
 from carrl.view.track_map import GATE, ROAD, draw_track_map, round_number
@@ -273,7 +273,7 @@ def test_a_failed_write_keeps_the_old_picture_and_leaves_nothing_beside_it(tmp_p
 
 def test_the_same_figure_gives_the_same_bytes(tmp_path):
     for name in ("a.png", "b.png"):
-        save_png(new_figure(height=1.0), tmp_path / name)
+        save_figure(new_figure(height=1.0), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

@@ -4,6 +4,7 @@ import argparse
 import sys
 
 from carrl.cli.log import cat, check, export, info, ls, recover, replay, show, stats
+from carrl.cli.parser import Parser
 
 VERBS = (info, ls, show, stats, cat, check, recover, export, replay)
 """In the order in which they are listed; each adds itself to the command line."""
@@ -18,7 +19,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="carrl log",
         description="Looks into a run's MCAP log, such as outputs/DATE/TIME/train.mcap.",
         epilog="carrl log VERB --help tells more.",

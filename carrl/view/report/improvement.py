@@ -11,7 +11,7 @@ from carrl.run.report.comparison import Comparison
 from carrl.run.report.findings import Findings
 from carrl.run.report.measures import MEASURES, Measure
 from carrl.run.report.statistics import Estimate
-from carrl.view.figure import FAINT, INK, VERMILLION, new_figure, plain_axes, save_png
+from carrl.view.figure import FAINT, INK, VERMILLION, new_figure, plain_axes, save_figure
 from carrl.view.report.series import wrapped
 
 MOST_COLUMNS = 3
@@ -41,7 +41,7 @@ def draw_improvement(path: Path, findings: Findings) -> bool:
         axes.set_visible(False)
     figure.supxlabel("probability that the group above is better than the other", color=INK, fontsize=8.5)
     figure.legend(handles=_legend(), loc="outside upper left", ncols=2, frameon=False, fontsize=8)
-    save_png(figure, path)
+    save_figure(figure, path)
     return True
 
 

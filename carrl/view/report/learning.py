@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 from carrl.run.report.curves import Curve, lap_profiles, return_curves, score_profiles
 from carrl.run.report.groups import Group
 from carrl.run.report.measures import FINAL_RETURN, LAP_REWARD
-from carrl.view.figure import FAINT, INK, new_figure, plain_axes, save_png
+from carrl.view.figure import FAINT, INK, new_figure, plain_axes, save_figure
 from carrl.view.report.series import Look, draw_curves, legend_rows, looks, name_groups
 
 
@@ -30,7 +30,7 @@ def draw_returns(path: Path, groups: Sequence[Group]) -> bool:
     _warn_of_scales(axes, groups)
     axes.set_title("interquartile mean, 95 % band", fontsize=7.5, color=FAINT, loc="right")
     name_groups(figure, curves, styles)
-    save_png(figure, path)
+    save_figure(figure, path)
     return True
 
 
@@ -61,7 +61,7 @@ def draw_profiles(path: Path, groups: Sequence[Group]) -> bool:
             _name_axes(axes, f"τ: {what}", "share of runs above τ")
             _warn_of_scales(axes, groups)
     name_groups(figure, max(panels, key=len), styles)
-    save_png(figure, path)
+    save_figure(figure, path)
     return True
 
 

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from carrl.run.report.findings import Findings, GroupFigure
 from carrl.run.report.groups import Group
 from carrl.run.report.measures import FIRST_LAP_FRAMES, FIRST_LAP_SECONDS, FORWARD_SHARE, SWITCHES, Measure
-from carrl.view.figure import FAINT, INK, new_figure, plain_axes, save_png
+from carrl.view.figure import FAINT, INK, new_figure, plain_axes, save_figure
 from carrl.view.report.series import Look, looks, wrapped
 
 LABEL_CHARACTERS = 24
@@ -51,7 +51,7 @@ def _draw_strips(path: Path, findings: Findings, measures: tuple[Measure, Measur
                 axes.text(0.03, row, "none", transform=place, va="center", color=FAINT, fontsize=8)
         _scale(axes, groups, measure)
     figure.legend(handles=_legend(), loc="outside upper left", ncols=3, frameon=False, fontsize=8)
-    save_png(figure, path)
+    save_figure(figure, path)
     return True
 
 

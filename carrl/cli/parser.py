@@ -1,0 +1,18 @@
+"""Flags of the verbs that are not Hydra's, whose mistakes end in one sentence, too."""
+
+import argparse
+import re
+from typing import NoReturn
+
+from carrl.cli.known_keys import did_you_mean
+from carrl.errors import ConfigError
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that raises ConfigError instead of printing its usage and ending the process."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raises ConfigError."""
+        unknown = re.fullmatch(r"unrecognized arguments: (-[^ =]+).*", message, flags=re.DOTALL)
+        close = did_you_mean(unknown[1], self._option_string_actions) if unknown else ""
+        raise ConfigError(f"{' '.join(message.split())}{close or ';'} {self.prog} --help tells more")
