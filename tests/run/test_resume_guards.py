@@ -8,13 +8,15 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
+from carrl.cli.sweep_job import _train_or_go_on
 from carrl.errors import CheckpointError
 from carrl.files import open_itself
 from carrl.run.checkpoint import save_checkpoint
-from carrl.run.files import CONFIG
+from carrl.run.files import CONFIG, load_config
 from carrl.run.progress import progress_of
 from carrl.run.resumption import check_contents, resume
 from carrl.run.state_file import STATE, load_state
+from carrl.run.sweep import SweepFolder
 from tests.stopped_runs import EAGER, interrupted, rows, state_of, train
 
 SHORT = [*EAGER, "trainer.frames=160"]
@@ -292,6 +294,11 @@ def test_another_version_of_a_track_file_is_refused_by_name(tmp_path, monkeypatc
     assert "other inputs: track 'ring.csv' was changed; put back" in refused(capsys, run)
     file.write_text(ring("4.00"))  # the same road
     assert main(["train", f"resume={run}"]) == 0
+    config = load_config(run)
+    assert _train_or_go_on(config, run, SweepFolder(tmp_path)) == "finished before"
+    file.write_text(ring(5))
+    with pytest.raises(CheckpointError, match=r"track 'ring\.csv' was changed"):  # in a sweep, too
+        _train_or_go_on(config, run, SweepFolder(tmp_path))
 
 
 def test_a_circuit_more_or_less_in_a_folder_is_refused_by_name(tmp_path, monkeypatch, capsys):
