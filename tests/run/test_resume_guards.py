@@ -105,7 +105,7 @@ def test_what_a_run_that_has_learnt_from_logs_cannot_take_up_is_refused(override
     assert "nothing left to learn: it has 20 updates" in refused(capsys, copy_of("offline"), override)
 
 
-def test_the_value_that_it_has_already_is_named_and_the_run_goes_on(copy_of, capsys):
+def test_the_value_that_it_has_already_is_named_and_the_run_goes_on(copy_of):
     resumption = resume(copy_of("stopped"), ["trainer.frames=160", "evaluation.interval=40"])
     assert resumption.remarks == ("trainer.frames is 160 already",)
 
@@ -312,7 +312,7 @@ def test_a_circuit_more_or_less_in_a_folder_is_refused_by_name(tmp_path, monkeyp
     assert "track 'a.csv' is missing, track 'c.csv' is new" in refused(capsys, run)
 
 
-def test_another_log_to_learn_from_is_refused_by_name(copy_of, made, tmp_path, capsys, monkeypatch):
+def test_another_log_to_learn_from_is_refused_by_name(copy_of, made, tmp_path, capsys):
     log, run = made / "finished" / "train.mcap", copy_of("offline")
     other = train(tmp_path / "other", *SHORT, "seed=1") / "train.mcap"
     content = log.read_bytes()
@@ -321,9 +321,6 @@ def test_another_log_to_learn_from_is_refused_by_name(copy_of, made, tmp_path, c
         assert f"log '{log}' was changed" in refused(capsys, run, "data.updates=30")
     finally:
         log.write_bytes(content)
-
-
-# How updates are made
 
 
 @pytest.fixture
