@@ -8,13 +8,15 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
+from carrl.cli.sweep_job import _train_or_go_on
 from carrl.errors import CheckpointError
 from carrl.files import open_itself
 from carrl.run.checkpoint import save_checkpoint
-from carrl.run.files import CONFIG
+from carrl.run.files import CONFIG, load_config
 from carrl.run.progress import progress_of
 from carrl.run.resumption import check_contents, resume
 from carrl.run.state_file import STATE, load_state
+from carrl.run.sweep import SweepFolder
 from tests.stopped_runs import EAGER, interrupted, rows, state_of, train
 
 SHORT = [*EAGER, "trainer.frames=160"]
@@ -103,7 +105,7 @@ def test_what_a_run_that_has_learnt_from_logs_cannot_take_up_is_refused(override
     assert "nothing left to learn: it has 20 updates" in refused(capsys, copy_of("offline"), override)
 
 
-def test_the_value_that_it_has_already_is_named_and_the_run_goes_on(copy_of, capsys):
+def test_the_value_that_it_has_already_is_named_and_the_run_goes_on(copy_of):
     resumption = resume(copy_of("stopped"), ["trainer.frames=160", "evaluation.interval=40"])
     assert resumption.remarks == ("trainer.frames is 160 already",)
 
@@ -292,6 +294,11 @@ def test_another_version_of_a_track_file_is_refused_by_name(tmp_path, monkeypatc
     assert "other inputs: track 'ring.csv' was changed; put back" in refused(capsys, run)
     file.write_text(ring("4.00"))  # the same road
     assert main(["train", f"resume={run}"]) == 0
+    config = load_config(run)
+    assert _train_or_go_on(config, run, SweepFolder(tmp_path)) == "finished before"
+    file.write_text(ring(5))
+    with pytest.raises(CheckpointError, match=r"track 'ring\.csv' was changed"):  # in a sweep, too
+        _train_or_go_on(config, run, SweepFolder(tmp_path))
 
 
 def test_a_circuit_more_or_less_in_a_folder_is_refused_by_name(tmp_path, monkeypatch, capsys):
@@ -305,7 +312,7 @@ def test_a_circuit_more_or_less_in_a_folder_is_refused_by_name(tmp_path, monkeyp
     assert "track 'a.csv' is missing, track 'c.csv' is new" in refused(capsys, run)
 
 
-def test_another_log_to_learn_from_is_refused_by_name(copy_of, made, tmp_path, capsys, monkeypatch):
+def test_another_log_to_learn_from_is_refused_by_name(copy_of, made, tmp_path, capsys):
     log, run = made / "finished" / "train.mcap", copy_of("offline")
     other = train(tmp_path / "other", *SHORT, "seed=1") / "train.mcap"
     content = log.read_bytes()
@@ -314,9 +321,6 @@ def test_another_log_to_learn_from_is_refused_by_name(copy_of, made, tmp_path, c
         assert f"log '{log}' was changed" in refused(capsys, run, "data.updates=30")
     finally:
         log.write_bytes(content)
-
-
-# How updates are made
 
 
 @pytest.fixture
