@@ -21,7 +21,7 @@ _OF_THE_LOG = "log"
 """The part of a state that says how far the log is: its metrics tell of wall time, and so its size and checksum do."""
 
 _OF_HYDRA = {"hydra.yaml", "overrides.yaml"}
-"""What Hydra writes of itself before CarRL begins, and nobody reads; a kill may come before it."""
+"""Hydra's records of how a run was asked for, written before all else; a kill may come before them."""
 _NAMED = 2
 """How many of the differing values are named."""
 
