@@ -21,7 +21,7 @@ _OF_WALL_TIME = {"log", "tables"}
 """Parts of a state: how far the log is, whose size tells of wall time as its metrics do, and the tables' text."""
 
 _OF_HYDRA = {"hydra.yaml", "overrides.yaml"}
-"""What Hydra writes of itself before CarRL begins, and nobody reads; a kill may come before it."""
+"""Hydra's records of how a run was asked for, written before all else; a kill may come before them."""
 _NAMED = 2
 """How many of the differing values are named."""
 

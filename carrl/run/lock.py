@@ -7,7 +7,7 @@
 import fcntl
 import logging
 import os
-import socket
+import platform
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -78,7 +78,7 @@ def _lock(folder: Path, descriptor: int, operation: int) -> None:
         _logger.warning("'%s' cannot be locked (%s); let no other process use it.", folder, error.strerror)
     with suppress(OSError):  # the name is a courtesy, for which a full disk may have no room
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()} {socket.gethostname()}\n".encode(), 0)
+        os.pwrite(descriptor, f"{os.getpid()} {platform.node()}\n".encode(), 0)
 
 
 def _holder(descriptor: int) -> str:
@@ -87,7 +87,7 @@ def _holder(descriptor: int) -> str:
     process, _, host = printable(text.strip()).partition(" ")
     if not process:  # it has the lock, but has not yet written
         return "another process"
-    return f"process {process}" + (f" on {host}" if host != socket.gethostname() else "")
+    return f"process {process}" + (f" on {host}" if host != platform.node() else "")
 
 
 def _is_at(path: Path, descriptor: int) -> bool:

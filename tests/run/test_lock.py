@@ -84,7 +84,7 @@ def test_the_lock_of_a_folder_that_took_the_places_of_a_moved_one_is_left(tmp_pa
 
 def test_a_holder_on_another_machine_is_named_with_it(tmp_path, monkeypatch):
     with locked(tmp_path):
-        monkeypatch.setattr("socket.gethostname", lambda: "another")
+        monkeypatch.setattr("platform.node", lambda: "another")
         host = (tmp_path / LOCK).read_text().split()[1]
         with pytest.raises(CarrlError, match=f"process {os.getpid()} on {host};"), locked(tmp_path):
             pass
