@@ -26,7 +26,8 @@ ALSO_CALLED = {
 """Other tools' names of the columns, without the unit that may follow: `_m`, `[m]` or `(m)`."""
 DELIMITERS = ";\t,"
 """The first that parts a line into as many cells as there are columns is taken, or else blanks."""
-MOST_COMMENTS = 1000
+MOST_COMMENTS, MOST_NAMES = 1000, 256
+"""Of a file, and the names that are looked at in each line that may be its header."""
 _HEADER = f"'# {','.join(COLUMNS)}'"
 
 Row = tuple[int, list[str]]
@@ -55,7 +56,7 @@ def read_csv(path: Path) -> Centreline:
         TrackError: the file is not such a table, or a value in it cannot be a road's.
     """
     comments, rows = _read_rows(path)
-    first = next((index for index, (_, row) in enumerate(rows) if any(map(_is_number, row))), len(rows))
+    first = next((index for index, (_, row) in enumerate(rows) if any(map(_is_number, row[:MOST_NAMES]))), len(rows))
     order = _order(path, [*rows[:first], *comments], rows[first:])
     numbers = [_read_numbers(path, line, row, order) for line, row in rows[first:]]
     table, repeats = without_repeats(np.array(numbers).reshape(-1, len(COLUMNS)))
@@ -77,7 +78,7 @@ def _read_rows(path: Path) -> tuple[list[Row], list[Row]]:
         for row in reader:
             content = delimiter.join(row).strip()
             if content.startswith("#"):
-                comments.append((line, _parted(content.lstrip("# "))))
+                comments.append((line, _parted(content[: 40 * MOST_NAMES].lstrip("# "))))
             elif content.strip(delimiter).strip():
                 rows.append((line, row if delimiter == "," else [cell.replace(",", ".") for cell in row]))
             if len(rows) > MOST_POINTS + 2 or len(comments) > MOST_COMMENTS:
@@ -110,7 +111,8 @@ def _order(path: Path, headers: list[Row], rows: list[Row]) -> list[int]:
     Raises:
         TrackError: no header has them all, and there are not just four without one.
     """
-    found = [[_find(column, names) for column in COLUMNS] for _, names in headers]
+    headers = [(line, names[:MOST_NAMES]) for line, names in headers[:MOST_COMMENTS]]
+    found = [_find(names) for _, names in headers]
     best = min(range(len(found)), key=lambda index: found[index].count(None), default=None)
     if best is not None and None not in found[best]:
         return [index for index in found[best] if index is not None]
@@ -132,11 +134,11 @@ def _order(path: Path, headers: list[Row], rows: list[Row]) -> list[int]:
     )
 
 
-def _find(column: str, names: list[str]) -> int | None:
-    """Where a column stands in a header, by any of its names."""
+def _find(names: list[str]) -> list[int | None]:
+    """Where each of the four columns stands in a header, by any of its names."""
     header = [_plain(name) for name in names]
-    wanted = (_plain(column), *ALSO_CALLED[column])
-    return next((header.index(name) for name in wanted if name in header), None)
+    wanted = [(_plain(column), *ALSO_CALLED[column]) for column in COLUMNS]
+    return [next((header.index(name) for name in each if name in header), None) for each in wanted]
 
 
 def _plain(name: str) -> str:

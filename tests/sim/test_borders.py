@@ -88,3 +88,12 @@ def test_repeated_points_are_left_out_of_every_format(tmp_path: Path, name: str,
     (tmp_path / name).write_text(content)
     report = inspect_track(Track.load(tmp_path / name))
     assert (report.repeats, report.faults) == (1, ())
+
+
+def test_the_centrelines_of_the_f1tenth_survey_load_although_they_have_no_header(real_circuits: Path):
+    folder = real_circuits.parent / "f1tenth"
+    if not folder.is_dir():
+        pytest.skip("the optional folder ../shared/tracks/f1tenth of the survey's circuits is absent")
+    for name in ("aut", "esp", "gbr", "mco"):
+        track = Track.load(folder / f"{name}_centerline.csv")
+        assert inspect_track(track, body_radius=0.15).faults == ()
