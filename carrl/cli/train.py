@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from carrl.cli.known_keys import explain
-from carrl.cli.overrides import Arguments, readable_overrides, sort_arguments, unquote
+from carrl.cli.overrides import Arguments, named_overrides, readable_overrides, sort_arguments, unquote
 from carrl.cli.plain import plain
 from carrl.cli.sweep import FLAGS, sweep
 from carrl.config import config_dir
@@ -97,7 +97,7 @@ def _resume(run: Path, typed: Arguments) -> int:
     from carrl.run.resumption import resumed_config, resumed_state
 
     changes = [override for override in typed.overrides if not _is_resume(override)]
-    config = resumed_config(run, readable_overrides(changes, is_sweep=False))
+    config = resumed_config(run, named_overrides(changes))
     train(config, run, resumed_state(run, config))
     return 0
 
