@@ -112,10 +112,22 @@ def readable_overrides(overrides: Sequence[str], is_sweep: bool | None) -> list[
     Raises:
         ConfigError: one cannot be read, or has no effect on what is run.
     """
-    named = [named for override in overrides for named in name_files(override)]
+    named = named_overrides(overrides)
     for parsed in map(_parsed, named):
         _check_effect(parsed, is_sweep)
         _check_option(parsed)
+    return named
+
+
+def named_overrides(overrides: Sequence[str]) -> list[str]:
+    """The overrides as `name_files` writes them.
+
+    Raises:
+        ConfigError: one cannot be read.
+    """
+    named = [named for override in overrides for named in name_files(override)]
+    for override in named:
+        _parsed(override)
     return named
 
 
@@ -192,6 +204,11 @@ def _is_readable(text: str) -> bool:
     return True
 
 
+def _is_text(text: str) -> bool:
+    """Whether Hydra reads the override's value as one text."""
+    return _is_readable(text) and isinstance(OverridesParser.create().parse_override(text).value(), str)
+
+
 def quote(text: str) -> str:
     """The text such as Hydra reads it back, whatever is in it."""
     return "'" + re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), text) + "'"
@@ -220,7 +237,7 @@ def name_files(argument: str) -> list[str]:
     if bare == "data.path" and value not in ("???", "[]"):
         is_list = value.startswith("[") and value.endswith("]") and not os.path.exists(value)
         return [f"{key}=[{_quote_paths(value[1:-1])}]" if is_list else f"{key}={_quote_paths(value)}"]
-    if bare in _WHOLE or (os.path.exists(value) and not _is_readable(argument)):
+    if (bare in _WHOLE and not _is_text(argument)) or (os.path.exists(value) and not _is_readable(argument)):
         return [f"{key}={quote(unquote(value))}"]
     return [argument]
 

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from carrl.cli.known_keys import explain
-from carrl.cli.overrides import Arguments, readable_overrides, sort_arguments, unquote
+from carrl.cli.overrides import Arguments, named_overrides, readable_overrides, sort_arguments, unquote
 from carrl.cli.plain import plain
 from carrl.cli.records import HYDRA, OVERRIDES, write_records
 from carrl.cli.sweep import FLAGS, sweep
@@ -113,7 +113,7 @@ def _resume(run: Path, typed: Arguments) -> int:
     changes = [override for override in typed.overrides if not _is_resume(override)]
     load_config(run)  # so that nothing is written to a folder that is no run's
     with locked(run):
-        resumption = resume(run, readable_overrides(changes, is_sweep=False))
+        resumption = resume(run, named_overrides(changes))
         for remark in resumption.remarks:
             print(printable(remark))
         train(resumption.config, run, resumption.state)

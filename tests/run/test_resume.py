@@ -171,7 +171,7 @@ def stopped(tmp_path, monkeypatch):
         (["loss=dqn"], "loss=dqn cannot be given with resume="),
         (["seed=4"], "seed=4 cannot be given with resume="),
         (["trainer.frames=1,2"], "trainer.frames=1,2 cannot be given"),
-        (["-m"], "-m cannot be given with resume="),
+        (["-m"], "--multirun cannot be given with resume="),
         (["trainer.frames=many"], "trainer.frames is 'many'; it must be of type int"),
         (["data.updates=3"], "has no data.updates to be changed"),
         (["hydra.run.dir=elsewhere"], "hydra.run.dir=elsewhere cannot be given"),
