@@ -27,7 +27,7 @@ FLAGS = {
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size"),
     "track list": ("--json",),
     "track show": ("--out",),
-    "track check": ("--json", "--body-radius"),
+    "track check": ("--json", "--body-radius", "--turn-radius", "--step-length", "--near-wall"),
     "track random": (*_RANDOM, "--out", "--force", "--json"),
     "log info": ("--json",),
     "log ls": ("--sort", "--reverse", "--crashed", "--lapped", "--env", "--limit", "--json"),
@@ -35,7 +35,7 @@ FLAGS = {
     "log stats": ("--png", "--json"),
     "log cat": ("--topic", *_SELECTION, "--limit", "--json"),
     "log check": ("--json",),
-    "log recover": ("--json",),
+    "log recover": ("--run", "--json"),
     "log export": _SELECTION,
     "log replay": ("--episode", "--output", "--no-open", "--rerun"),
 }
