@@ -156,11 +156,11 @@ def is_search(override: str) -> bool:
 
 
 def _check_option(override: "Override") -> None:
-    """Raises ConfigError for a number where an option of a group is wanted, which Hydra ends with a traceback for."""
+    """Raises ConfigError for a number or null in the place of a group's option, where Hydra ends with a traceback."""
     group, options = override.key_or_group, options_with(override.key_or_group)
     for value in getattr(override.value(), "list", [override.value()]):
-        if options and not override.is_delete() and isinstance(value, int | float | dict):
-            raise ConfigError(no_such_option(group, str(value), options))
+        if options and not override.is_delete() and isinstance(value, int | float | dict | None):
+            raise ConfigError(no_such_option(group, "null" if value is None else str(value), options))
 
 
 def _parsed(text: str) -> "Override":

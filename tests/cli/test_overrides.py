@@ -46,6 +46,7 @@ IGNORED_ONCE = [
     (["loss=dqnn"], "loss has no option dqnn; did you mean dqn, or one of: advantage_learning, cql, "),
     (["loss=3"], "loss has no option 3; choose one of: advantage_learning, cql, "),
     (["-m", "loss=3,4"], "loss has no option 3; choose one of: advantage_learning, cql, "),
+    (["recorder=null"], "recorder has no option null; choose one of: mcap, none"),
     (["learning_rate=0.01"], "learning_rate has no option 0.01; did you mean optimizer.lr=0.01?"),
     (["experiment=fsat"], "experiment has no option fsat; did you mean fast, or one of: "),
     (["loss.gama=1"], "there is no key loss.gama; did you mean loss.gamma?"),
