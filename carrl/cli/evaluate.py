@@ -9,8 +9,9 @@ from typing import Any
 import torch
 
 from carrl.cli.evaluation_table import print_evaluation
+from carrl.env.world import World
 from carrl.run.build import build_world
-from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
+from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy, rule_world
 from carrl.run.files import load_config, seed_folders
 from carrl.run.folder import load_greedy_policy
 from carrl.run.plan import checked_seed
@@ -35,11 +36,11 @@ def main(argv: list[str]) -> int:
     tracks = [track for name in arguments.track for track in _load_tracks(name)] or list(world.circuits.validation)
     survey = Survey(world, tracks, arguments.starts)
     policies = [
-        _make_policy(arguments.policy, run, arguments.checkpoint, config)
+        _make_policy(arguments.policy, run, arguments.checkpoint, config, world)
         for run, config in zip(runs, configs, strict=True)
     ]
     laps = [survey.drive(policy) for policy in policies]
-    rule = survey.drive(rule_policy) if arguments.policy != "rule" else None
+    rule = survey.drive(rule_policy, rule_world(world)) if arguments.policy != "rule" else None
     document = {
         "run": arguments.run,
         "policy": arguments.policy,
@@ -82,12 +83,12 @@ def _load_tracks(name: str) -> list[Track]:
     return [Track.load(file) for file in circuit_files(path)] if path.is_dir() else [Track.load(name)]
 
 
-def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:
+def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any], world: World) -> Policy:
     if name == "rule":
         return rule_policy
     if name == "random":
-        return random_policy(checked_seed(config["seed"]))
-    return load_greedy_policy(run, checkpoint, config)
+        return random_policy(checked_seed(config["seed"]), world.action)
+    return load_greedy_policy(run, checkpoint, config, world)
 
 
 def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_length: float) -> dict[str, Any]:

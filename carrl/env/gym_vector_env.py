@@ -9,18 +9,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from gymnasium.error import InvalidAction, ResetNeeded
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode
+from carrl.env.gym_env import (
+    RENDER_MODES,
+    action_space,
+    allowed_actions,
+    check_options,
+    check_render_mode,
+    observation_space,
+)
 from carrl.env.random_streams import CarStreams
-from carrl.env.reward import SHAPING, TERMS
-from carrl.env.task import Situation, Task, Tracks, Transition
+from carrl.env.task import Begun, StepResult, Task, Tracks, make_task
 from carrl.errors import ConfigError
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from carrl.env.rendering import FleetPicture, Window
@@ -73,17 +79,17 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Builds the simulator and declares the spaces."""
         check_options(options, ("num_envs", "max_episode_steps", "autoreset_mode"))
         check_render_mode(render_mode)
-        self.task = Task(track, num_envs, max_steps=max_episode_steps, **options)
+        self.task = make_task(track, num_envs, max_steps=max_episode_steps, **options)
         self.task.streams = self._streams = CarStreams(num_envs)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, _autoreset_mode(autoreset_mode)
         fps = 1 / self.task.simulator.vehicle.time_step
         self.metadata = self.metadata | {"render_fps": fps, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = Box(0.0, 1.0, (self.task.observation_size,), np.float32)
-        self.single_action_space = Discrete(len(Action))
+        self.single_observation_space = observation_space(self.task)
+        self.single_action_space = action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._first_start = self.task.start() if self.task.starts_alike else None
-        self._now: Situation | None = None
+        self._now: Begun | None = None
         self._ended = np.zeros(num_envs, dtype=bool)
         self._track_names = np.array([each.name for each in self.task.simulator.tracks], dtype=object)
         self._picture = _make_fleet_picture(self.task) if render_mode else None
@@ -129,7 +135,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise ResetNeeded(f"car {resetting.argmax()} has ended its episode; reset it with a reset_mask")
             self._now = self._put(self._now, resetting)  # A car in a wall could not be driven on.
-        after = self.task.step(self._now, taken)
+        after = self.task.step(self._now.state, taken)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             outcome = self._end_in_same_step(after)
         else:
@@ -150,10 +156,10 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         if self._now is None:
             raise ResetNeeded("call reset before the first picture")
-        shown = self._now.state.track.numpy() == 0
+        shown = self._now.state.cars.track.numpy() == 0
         cars = f"{shown.sum():,} of {self.num_envs:,} cars" if not shown.all() else f"{self.num_envs:,} cars"
         title = f"{self._track_names[0]}: {cars}"
-        picture = self._picture.draw(self._now.state.pose.double().numpy()[shown], self._ended[shown], title)
+        picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
             return (pixels(picture),)
         self._window = self._window or Window(picture.get_size(), "CarRL")
@@ -166,31 +172,31 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._window.close()
         self._window = None
 
-    def _end_in_next_step(self, after: Transition, resetting: Bools) -> Step:
+    def _end_in_next_step(self, after: StepResult, resetting: Bools) -> Step:
         """What the step brought, but for the cars that it was to put back to the start."""
-        now, terms, terminated, _ = after
+        now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
         truncated = self._is_last_step(now)
         driven = ~resetting
         if resetting.any():
             assert self._now is not None
             keep, reset = torch.from_numpy(driven), torch.from_numpy(resetting)
-            now = now.replacing(reset, self._now.only(reset))
+            now = now.replacing(reset, self._now[reset])
             terms, terminated, truncated = terms * keep[:, None], terminated & keep, truncated & keep
         self._now = now
         ends = terminated.numpy(), truncated.numpy()
         self._ended = ends[0] | ends[1]
-        infos = _with_masks(self._places(now), np.ones_like(driven)) | _with_masks(_by_name(terms), driven)
+        infos = _with_masks(self._places(now), np.ones_like(driven)) | _with_masks(_by_name(self.task, terms), driven)
         return now.observation.numpy().copy(), _rewards(terms), *ends, infos
 
-    def _end_in_same_step(self, after: Transition) -> Step:
+    def _end_in_same_step(self, after: StepResult) -> Step:
         """What the step brought; cars whose episode ended are at the start again, their end is in the infos."""
-        now, terms, terminated, _ = after
+        now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
         ends = terminated.numpy(), self._is_last_step(now).numpy()
         ended = ends[0] | ends[1]
-        last_view, last_info = now.observation.numpy(), self._places(now) | _by_name(terms)
+        last_view, last_info = now.observation.numpy(), self._places(now) | _by_name(self.task, terms)
         self._now = now = self._put(now, ended) if ended.any() else now
         everyone = np.ones_like(ended)
-        infos = _with_masks(self._places(now), everyone) | _with_masks(_by_name(terms), ~ended)
+        infos = _with_masks(self._places(now), everyone) | _with_masks(_by_name(self.task, terms), ~ended)
         if ended.any():
             final_views = np.full(self.num_envs, None, dtype=object)
             for car in ended.nonzero()[0]:
@@ -199,19 +205,19 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             infos |= {"final_info": _with_masks(last_info, ended), "_final_info": ended.copy()}
         return now.observation.numpy().copy(), _rewards(terms), *ends, infos
 
-    def _is_last_step(self, now: Situation) -> Tensor:
+    def _is_last_step(self, now: Begun) -> Tensor:
         """Whether the time limit is reached, [N], bool."""
-        return now.step >= self.task.max_steps
+        return now.state.step >= self.task.max_steps
 
-    def _put(self, now: Situation | None, wanted: Bools) -> Situation:
+    def _put(self, now: Begun | None, wanted: Bools) -> Begun:
         """The wanted cars [N] at the start of new episodes."""
         cars, first = torch.from_numpy(wanted), self._first_start
-        start = first.only(cars) if first else self.task.start(cars)
+        start = first[cars] if first else self.task.start(cars)
         return start if now is None or wanted.all() else now.replacing(cars, start)
 
-    def _places(self, now: Situation) -> dict[str, np.ndarray]:
+    def _places(self, now: Begun) -> dict[str, np.ndarray]:
         """Where the cars are and how far they came."""
-        state = now.state
+        state = now.state.cars
         return {
             "pose": state.pose.numpy().copy(),
             "gates_passed": state.gates_passed.numpy().copy(),
@@ -220,9 +226,11 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _checked(self, actions: np.ndarray) -> Tensor:
         """A copy of the actions [N], int64."""
-        taken = np.array(actions, dtype=np.int64)
-        if taken.shape != (self.num_envs,) or taken.min() < 0 or taken.max() >= len(Action):
-            raise InvalidAction(f"actions must be {self.num_envs} numbers, each 0 forward, 1 left or 2 right")
+        space = self.single_action_space
+        taken = np.array(actions, dtype=space.dtype)
+        low, high = (0, space.n - 1) if isinstance(space, Discrete) else (-1, 1)
+        if taken.shape != self.action_space.shape or not (low <= taken.min() and taken.max() <= high):
+            raise InvalidAction(f"these are not actions of {self.num_envs} cars; of each {allowed_actions(self.task)}")
         return torch.from_numpy(taken)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
@@ -251,9 +259,9 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
         raise ConfigError(f"autoreset_mode is {mode!r}; choose one of {names}") from error
 
 
-def _by_name(terms: Tensor) -> dict[str, np.ndarray]:
+def _by_name(task: Task, terms: Tensor) -> dict[str, np.ndarray]:
     """Terms of the reward [N, K], each on its own, [N], float64."""
-    return dict(zip((*TERMS, SHAPING), terms.double().numpy().T.copy(), strict=False))
+    return dict(zip(task.reward.term_names, terms.double().numpy().T.copy(), strict=True))
 
 
 def _rewards(terms: Tensor) -> np.ndarray:
