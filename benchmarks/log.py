@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
+from carrl.env.start import Start
 from benchmarks import figures
 from benchmarks.log_reading import READINGS, THROUGH_ALL
 from benchmarks.log_share import SHARE_HEADER, share_rows
@@ -82,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def drive(count: int) -> tuple[TensorDict, list[Episode]]:
     """So many transitions of cars that the rule drives, with the values of an untrained network, and their episodes."""
-    env = TrackEnv("paper", num_envs=CARS, seed=0, random_start=True)
+    env = TrackEnv("paper", num_envs=CARS, seed=0, start=Start(anywhere=True))
     generator = torch.Generator().manual_seed(0)
     network = make_q_network([16, 16, 8], observation_size=7, action_count=3, generator=generator)
     tracker = EpisodeTracker(1, CARS, env.track.gate_count, env.simulator.vehicle.time_step)

@@ -101,7 +101,7 @@ BAD_INPUT = [
     (["data.path=empty.mcap"], "data.path has 0 transitions, fewer than the 4 of one minibatch"),
     (["data.path=train.mcap", "replay_buffer.batch_size=11"], "data.path has 10 transitions, fewer than the 11"),
     (["data.path=train.mcap", "sensor.rays=9"], "the network reads 9 (sensor.rays=9, env.observe_action=false)"),
-    (["data.path=train.mcap", "env.observe_action=true"], "the network reads 10 (sensor.rays=7, env.observe"),
+    (["data.path=train.mcap", "observation=rays_and_last_action"], "the network reads 10 (sensor.rays=7, env.observe"),
     (["data.path=train.mcap", "sensor.max_range=15"], "set sensor.max_range=10.0"),
     (["data.path=other.mcap"], "its actions are ['left', 'right']"),
     (["data.path=text.mcap"], "text.mcap"),

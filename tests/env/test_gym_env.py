@@ -8,6 +8,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+from carrl.env.start import Start
 import carrl
 from carrl.env.reward import TERMS
 from carrl.env.task import Task
@@ -23,7 +24,13 @@ def _no_display(monkeypatch):
 @pytest.mark.usefixtures("_no_display")
 @pytest.mark.parametrize(
     "options",
-    [{}, {"render_mode": "rgb_array"}, {"render_mode": "human"}, {"random_start": True}, {"observe_action": True}],
+    [
+        {},
+        {"render_mode": "rgb_array"},
+        {"render_mode": "human"},
+        {"start": Start(anywhere=True)},
+        {"observation": WITH_ACTION},
+    ],
 )
 def test_gymnasiums_checker_passes(options):
     pytest.importorskip("pygame", reason="the checker draws in every mode; pip install 'carrl[render]'")
@@ -57,7 +64,7 @@ def test_an_episode_is_truncated_at_a_thousand_steps_or_as_asked():
 
 
 def test_random_starts_follow_the_seed():
-    env = gymnasium.make("carrl/Track-v0", random_start=True)
+    env = gymnasium.make("carrl/Track-v0", start=Start(anywhere=True))
     first, again, other = (env.reset(seed=seed)[1]["pose"] for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from carrl.env.start import Start
 import carrl
 from carrl.errors import ConfigError
 
@@ -53,8 +54,8 @@ def assert_same(one, other):
     "options",
     [
         {"track": "paper"},
-        {"track": "oval", "random_start": True, "start_offset": 0.5, "heading_jitter": 30, "mirrored": True},
-        {"observe_action": True, "reward": carrl.Reward(turn=-0.1, switch=-0.3), "max_episode_steps": 15},
+        {"track": "oval", "start": Start(anywhere=True, offset=0.5, heading_jitter=30, mirrored=True)},
+        {"observation": WITH_ACTION, "reward": paper_reward(-0.1, -0.3), "max_episode_steps": 15},
     ],
 )
 def test_all_cars_at_once_do_what_copies_of_the_single_environment_do(mode, options):
@@ -81,7 +82,7 @@ def test_spaces_and_metadata_are_those_of_copies():
 
 @pytest.mark.parametrize("mode", MODES[:2])
 def test_what_it_returns_lies_in_its_spaces(mode):
-    env = make(autoreset_mode=mode, random_start=True)
+    env = make(autoreset_mode=mode, start=Start(anywhere=True))
     view, _ = env.reset(seed=1)
     env.action_space.seed(1)
     for _ in range(60):
@@ -92,8 +93,12 @@ def test_what_it_returns_lies_in_its_spaces(mode):
 
 
 def test_the_same_seed_gives_the_same_rollout_with_noise_too():
-    options = {"sensor": carrl.Sensor(noise=0.2, dropout=0.1), "random_start": True, "track": ["oval", "paper"]}
-    one, other = make(sample_track=True, **options), make(sample_track=True, **options)
+    options = {
+        "sensor": carrl.Sensor(noise=0.2, dropout=0.1),
+        "start": Start(anywhere=True),
+        "track": ["oval", "paper"],
+    }
+    one, other = make(start=Start(sample_track=True), **options), make(start=Start(sample_track=True), **options)
     assert_same(one.reset(seed=3), other.reset(seed=3))
     rng = np.random.default_rng(0)
     for _ in range(60):
@@ -102,14 +107,14 @@ def test_the_same_seed_gives_the_same_rollout_with_noise_too():
 
 
 def test_a_seed_of_a_list_belongs_to_its_car():
-    env = make(3, random_start=True)
+    env = make(3, start=Start(anywhere=True))
     _, by_number = env.reset(seed=10)
     _, by_list = env.reset(seed=[12, 11, 10])
     np.testing.assert_array_equal(by_number["pose"], by_list["pose"][::-1])
 
 
 def test_without_a_seed_the_random_numbers_go_on():
-    env, twin = make(random_start=True), make(random_start=True)
+    env, twin = make(start=Start(anywhere=True)), make(start=Start(anywhere=True))
     poses = [each.reset(seed=1)[1]["pose"] for each in (env, twin)]
     later = [each.reset()[1]["pose"] for each in (env, twin)]
     np.testing.assert_array_equal(*later)
@@ -199,7 +204,7 @@ def test_gymnasiums_wrappers_for_vectors_work():
 
 
 def test_a_misspelt_option_is_answered_with_all_that_there_are():
-    with pytest.raises(ConfigError, match=r"there is no option 'autoreset'; .*num_envs.*autoreset_mode.*random_start"):
+    with pytest.raises(ConfigError, match=r"there is no option 'autoreset'; .*num_envs.*autoreset_mode.*start"):
         make(autoreset="SameStep")
 
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
+from carrl.env.start import Start
 from carrl import Reward, Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError, TrackError
 
@@ -21,7 +22,7 @@ def drive(env, actions):
 @pytest.mark.parametrize("random_start", [False, True])
 @pytest.mark.parametrize("num_envs", [1, 5])
 def test_specs_match_what_the_environment_returns(num_envs, random_start):
-    check_env_specs(TrackEnv(num_envs=num_envs, seed=0, random_start=random_start))
+    check_env_specs(TrackEnv(num_envs=num_envs, seed=0, start=Start(anywhere=random_start)))
 
 
 def test_shapes_and_types_are_the_documented_ones():
@@ -63,8 +64,8 @@ def test_actions_are_forward_left_right():
 
 
 def test_same_seed_same_rollout_whatever_else_draws_from_torch():
-    first = TrackEnv(num_envs=4, seed=7, random_start=True).rollout(200, break_when_any_done=False)
-    other = TrackEnv(num_envs=4, seed=7, random_start=True)
+    first = TrackEnv(num_envs=4, seed=7, start=Start(anywhere=True)).rollout(200, break_when_any_done=False)
+    other = TrackEnv(num_envs=4, seed=7, start=Start(anywhere=True))
     torch.manual_seed(123)
     torch.rand(1000)
     assert (first == other.rollout(200, break_when_any_done=False)).all()
@@ -77,7 +78,7 @@ def test_different_seeds_give_different_rollouts():
 
 def test_the_environment_leaves_torchs_own_generator_alone():
     before = torch.get_rng_state()
-    TrackEnv(num_envs=2, seed=0, random_start=True).rollout(50, break_when_any_done=False)
+    TrackEnv(num_envs=2, seed=0, start=Start(anywhere=True)).rollout(50, break_when_any_done=False)
     assert torch.equal(before, torch.get_rng_state())
 
 
@@ -139,7 +140,7 @@ def test_the_reward_is_the_sum_of_its_terms():
 
 
 def test_random_starts_spread_over_the_track():
-    env = TrackEnv(num_envs=64, seed=0, random_start=True)
+    env = TrackEnv(num_envs=64, seed=0, start=Start(anywhere=True))
     state = env.reset()
     assert (state["observation"] > 0.1).all()  # on the centreline, clear of walls
     assert len(state["next_gate"].unique()) == env.track.gate_count
@@ -166,7 +167,7 @@ def test_a_different_car_can_be_driven():
 
 
 def test_the_last_action_can_be_observed():
-    env = TrackEnv(num_envs=2, max_steps=3, observe_action=True)
+    env = TrackEnv(num_envs=2, max_steps=3, observation=WITH_ACTION)
     check_env_specs(env)
     state = env.reset()
     assert state["observation"][:, 7:].tolist() == [[1, 0, 0]] * 2
@@ -176,15 +177,15 @@ def test_the_last_action_can_be_observed():
 
 
 def test_steering_costs_reward_from_the_second_action_on():
-    env = TrackEnv(num_envs=1, reward=Reward(turn=-1.0, switch=-3.0))
+    env = TrackEnv(num_envs=1, reward=paper_reward(turn=-1.0, switch=-3.0))
     steering = [step["reward_terms"][0, 3].item() for step in drive(env, [0, 1, 1, 2, 0])]
     assert steering == [0, -4, -1, -7, -3]
 
 
 def test_cars_of_several_seeds_drive_as_they_would_alone():
-    together = TrackEnv(num_envs=2, seed=[5, 6], random_start=True).rollout(150, break_when_any_done=False)
+    together = TrackEnv(num_envs=2, seed=[5, 6], start=Start(anywhere=True)).rollout(150, break_when_any_done=False)
     for index, seed in enumerate((5, 6)):
-        alone = TrackEnv(num_envs=2, seed=seed, random_start=True).rollout(150, break_when_any_done=False)
+        alone = TrackEnv(num_envs=2, seed=seed, start=Start(anywhere=True)).rollout(150, break_when_any_done=False)
         assert (together[2 * index : 2 * index + 2] == alone).all()
         assert alone["next", "done"].any()
 
@@ -216,7 +217,9 @@ def test_cars_on_different_tracks_drive_as_alone_on_theirs():
 
 def test_a_sampled_track_changes_from_episode_to_episode_and_follows_the_seed():
     def tracks(seed: int) -> torch.Tensor:
-        env = TrackEnv(["oval", "paper", "serpentine"], num_envs=4, seed=seed, sample_track=True, max_steps=3)
+        env = TrackEnv(
+            ["oval", "paper", "serpentine"], num_envs=4, seed=seed, start=Start(sample_track=True), max_steps=3
+        )
         return env.rollout(60, break_when_any_done=False)["track"]
 
     assert torch.equal(tracks(1), tracks(1))
@@ -226,7 +229,7 @@ def test_a_sampled_track_changes_from_episode_to_episode_and_follows_the_seed():
 
 
 def test_mirrored_and_reversed_episodes_are_drawn_by_chance():
-    env = TrackEnv("paper", num_envs=400, seed=0, mirrored=True, reversed=True)
+    env = TrackEnv("paper", num_envs=400, seed=0, start=Start(mirrored=True, reversed=True))
     check_env_specs(env)
     names = ["paper", "paper-mirrored", "paper-reversed", "paper-mirrored-reversed"]
     assert [track.name for track in env.tracks] == names
@@ -238,7 +241,7 @@ def test_mirrored_and_reversed_episodes_are_drawn_by_chance():
 
 
 def test_starts_vary_beside_the_centreline_and_in_heading():
-    env = TrackEnv("oval", num_envs=300, seed=0, start_offset=1.0, heading_jitter=20.0)
+    env = TrackEnv("oval", num_envs=300, seed=0, start=Start(offset=1.0, heading_jitter=20.0))
     check_env_specs(env)
     pose = env.reset()["pose"]
     assert pose[:, 0].std() < 1e-3  # all on the start line, which runs along y
@@ -247,9 +250,7 @@ def test_starts_vary_beside_the_centreline_and_in_heading():
     assert -20 <= degrees.min() < -18 and 18 < degrees.max() <= 20
 
 
-@pytest.mark.parametrize(
-    ("option", "value"), [("start_offset", 1.5), ("start_offset", -0.1), ("heading_jitter", 200.0)]
-)
+@pytest.mark.parametrize(("option", "value"), [("offset", 1.5), ("offset", -0.1), ("heading_jitter", 200.0)])
 def test_a_start_that_cannot_be_is_refused(option, value):
     with pytest.raises(ConfigError, match=rf"env\.{option} is {value}; it must be "):
         TrackEnv(**{option: value})
@@ -291,7 +292,12 @@ def test_the_reward_counts_true_distances_whatever_the_sensor_reads():
 
 
 def test_agents_with_noisy_sensors_fare_as_they_would_alone():
-    options = {"num_envs": 2, "random_start": True, "sensor": Sensor(noise=0.3, dropout=0.1), "heading_jitter": 5.0}
+    options = {
+        "num_envs": 2,
+        "start": carrl.Start(anywhere=True),
+        "sensor": Sensor(noise=0.3, dropout=0.1),
+        "heading_jitter": 5.0,
+    }
     together = TrackEnv(seed=[5, 6], **options).rollout(150, break_when_any_done=False)
     for index, seed in enumerate((5, 6)):
         alone = TrackEnv(seed=seed, **options).rollout(150, break_when_any_done=False)
@@ -304,7 +310,7 @@ def test_agents_with_noisy_sensors_fare_as_they_would_alone():
 def test_a_cuda_device_gives_the_same_rollouts_as_the_cpu(track):
     rollouts = []
     for device in ("cpu", "cuda"):
-        env = TrackEnv(track, num_envs=64, device=device, seed=0, random_start=True)
+        env = TrackEnv(track, num_envs=64, device=device, seed=0, start=Start(anywhere=True))
         rollouts.append(env.rollout(50, break_when_any_done=False).cpu())
     on_cpu, on_cuda = rollouts
     together = (on_cpu["next", "done"] == on_cuda["next", "done"]).all()
@@ -314,7 +320,13 @@ def test_a_cuda_device_gives_the_same_rollouts_as_the_cpu(track):
 
 
 def test_shaping_counts_the_way_to_the_next_gates_middle_and_is_part_of_the_sum():
-    env = TrackEnv("oval", num_envs=4, seed=0, random_start=True, reward=Reward(approach=0.5, discount=0.9))
+    env = TrackEnv(
+        "oval",
+        num_envs=4,
+        seed=0,
+        start=Start(anywhere=True),
+        reward=Reward({**paper_reward().terms, "shaping": Shaping(0.5, 0.9)}),
+    )
     check_env_specs(env)
     rollout = env.rollout(60, break_when_any_done=False)["next"]
     assert rollout["reward_terms"].shape == (4, 60, 5)

@@ -12,7 +12,7 @@ from carrl.errors import CarrlError
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 from carrl.view.close_up import draw_close_up
 from carrl.view.curve_panel import DOT, block_centres, common_bounds
 from carrl.view.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_png
@@ -49,8 +49,8 @@ def drive(track, choose, steps=400):
     for step in range(steps):
         ranges.append(simulator.sense(state))
         actions.append(choose(step, ranges[-1]))
-        outcome = simulator.step(state, actions[-1])
-        state = outcome.state
+        outcome = simulator.step(state, steer(actions[-1]))
+        state = outcome.cars
         poses.append(state.pose)
         if outcome.collided or state.gates_passed >= track.gate_count:
             break
@@ -192,7 +192,7 @@ def test_a_lap_shows_road_gates_line_rays_and_cars(tmp_path, paper, lap):
 def test_an_action_that_was_never_chosen_is_in_the_legend_only(tmp_path, paper, lap):
     poses, ranges, actions = lap
     draw(tmp_path / "both.png", paper, poses, ranges, actions)
-    draw(tmp_path / "left.png", paper, poses, ranges, np.full_like(actions, Action.LEFT))
+    draw(tmp_path / "left.png", paper, poses, ranges, np.full_like(actions, LEFT))
     assert pixels_of(tmp_path / "both.png", BLUE) > 2 * pixels_of(tmp_path / "left.png", BLUE)
 
 
