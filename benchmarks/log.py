@@ -12,12 +12,12 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-from carrl.env.start import Start
 from benchmarks import figures
 from benchmarks.log_reading import READINGS, THROUGH_ALL
 from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.agent.network import make_q_network
+from carrl.env.start import Start
 from carrl.env.track_env import TrackEnv
 from carrl.log import load
 from carrl.record.messages import Episode
@@ -102,7 +102,7 @@ def drive(count: int) -> tuple[TensorDict, list[Episode]]:
 def _choose(state: Any, env: TrackEnv) -> Any:
     """The rule's actions, and random ones with the marks that exploration leaves in a run."""
     exploratory = torch.rand(CARS) < EPSILON
-    by_rule = rule_policy(state["observation"], state["last_action"])
+    by_rule = rule_policy(state["observation"])
     state["action"] = torch.where(exploratory, env.rand_action()["action"], by_rule)
     state["exploratory"] = exploratory
     state["epsilon"] = torch.full((CARS,), EPSILON)

@@ -16,10 +16,11 @@ import torch
 from torch import Tensor
 from torchrl.envs.utils import RandomPolicy
 
-from carrl.env.start import Start
 import carrl  # registers carrl/Track-v0
 from benchmarks.child import BenchError
 from carrl.data.collector import make_collector
+from carrl.env.action import steer3
+from carrl.env.start import Start
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track
@@ -69,20 +70,17 @@ def put_back(collided: Tensor, start: CarState, now: CarState) -> CarState:
     """The state now, but that of the start for the cars that collided, [N]."""
     if not collided.any():
         return now
-    pairs = zip(start, now, strict=True)
-    return CarState(
-        *(torch.where(collided.view(-1, *[1] * (after.dim() - 1)), before, after) for before, after in pairs)
-    )
+    return start.map(lambda before, after: torch.where(collided.view(-1, *[1] * (after.dim() - 1)), before, after), now)
 
 
 def _drive_simulator(track: Track, cars: int) -> Drive:
     simulator = Simulator(track, Vehicle(), Sensor())
     start = simulator.start(random_stations(track, cars))
-    state, actions = start, _random_actions(cars)
+    state, controls = start, cycle(list(map(steer3().controls, _prepared(cars))))
 
     def drive() -> int:
         nonlocal state
-        outcome = simulator.step(state, controls(next(actions)))
+        outcome = simulator.step(state, next(controls))
         state = put_back(outcome.collided, start, outcome.cars)
         return cars
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from carrl.env.action import ContinuousActions, DiscreteActions
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
-    from carrl.env.observation import Observation
-    from carrl.env.reward import Reward
+    from carrl.env.observation import Observation, rays_and_last_action
+    from carrl.env.reward import Reward, paper_reward
     from carrl.env.start import Start
     from carrl.env.track_env import TrackEnv
     from carrl.sim.sensor import Sensor
@@ -38,6 +38,8 @@ __all__ = [
     "VehicleModel",
     "__version__",
     "log",
+    "paper_reward",
+    "rays_and_last_action",
 ]
 
 try:
@@ -62,6 +64,8 @@ _HOMES = {
     "TrackEnv": "carrl.env.track_env",
     "Vehicle": "carrl.sim.vehicle",
     "VehicleModel": "carrl.sim.vehicle",
+    "paper_reward": "carrl.env.reward",
+    "rays_and_last_action": "carrl.env.observation",
 }
 
 

@@ -111,10 +111,12 @@ def build_terms(group: str, nodes: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not isinstance(nodes, Mapping):
         raise ConfigError(f"{group} is {shown(nodes)}; it must map names to terms")
-    return {str(name): _build_term(group, str(name), node) for name, node in nodes.items() if node is not None}
+    return {str(name): _build_term(group, name, node) for name, node in nodes.items() if node is not None}
 
 
-def _build_term(group: str, name: str, node: Mapping[str, Any]) -> Any:
+def _build_term(group: str, name: Any, node: Mapping[str, Any]) -> Any:
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ConfigError(f"{group} has a term called {shown(name)}; a term's name is made of letters, digits and _")
     return build_node(f"{group}.{name}", node, targets=TARGETS[group])
 
 
@@ -165,6 +167,10 @@ def _fits(value: Any, hint: Any) -> bool:
         return value in arguments
     if origin is not None and issubclass(origin, Sequence):
         return isinstance(value, list) and all(_fits(item, arguments[0]) for item in value)
+    if origin is not None and issubclass(origin, Mapping):
+        return isinstance(value, dict) and all(
+            _fits(part, hint) for item in value.items() for part, hint in zip(item, arguments, strict=True)
+        )
     if hint in (int, float):
         return not isinstance(value, bool) and isinstance(value, int | hint)
     if hint is type(None):

@@ -10,7 +10,7 @@ CONFIG: dict[str, Any] = {
     "track": {"name_or_path": "paper"},
     "vehicle": {"speed": 10.0},
     "sensor": {"rays": 7},
-    "reward": {"collision": -200.0, "gate": 50.0},
+    "reward": {"collision": {"weight": -200.0}, "gate": {"weight": 50.0}},
     "env": {"num_envs": 8},
     "network": {"hidden_sizes": [16, 16, 8]},
     "loss": {"gamma": 0.95, "double_dqn": False},

@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
         _make_policy(arguments.policy, run, arguments.checkpoint, config, world)
         for run, config in zip(runs, configs, strict=True)
     ]
-    laps = [survey.drive(policy) for policy in policies]
+    laps = [survey.drive(policy, rule_world(world) if policy is rule_policy else world) for policy in policies]
     rule = survey.drive(rule_policy, rule_world(world)) if arguments.policy != "rule" else None
     document = {
         "run": arguments.run,

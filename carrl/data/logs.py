@@ -62,7 +62,8 @@ class _Memories:
     """The way of a log's transitions into a buffer."""
 
     def __init__(self, buffer: TensorDictReplayBuffer, agents: int, path: Path, action: ActionMap) -> None:
-        self._buffer, self._agents, self._path, self._spec = buffer, agents, path, action.spec
+        self._buffer, self._agents, self._path = buffer, agents, path
+        self._spec, self._names = action.spec, action.names
 
     def extend(self, transitions: TensorDictBase) -> None:
         """Stores transitions [T] once for each agent, [T, A]."""
@@ -70,7 +71,7 @@ class _Memories:
         if not self._spec.expand(action.shape).is_in(action):
             raise LogError(
                 f"log '{self._path}': has actions {action.min()}..{action.max()}; "
-                f"there are only {self._spec.n}, from 0 on"
+                f"they must lie in 0..{len(self._names) - 1}, {', '.join(self._names)}"
             )
         self._buffer.extend(transitions.select(*KEYS)[:, None].expand(len(transitions), self._agents))
 
@@ -78,10 +79,11 @@ class _Memories:
 def _check_width(log: Log, world: World) -> None:
     (found,) = log.row_shapes["observation"]
     if found != world.observation_size:
+        parts = world.observation.parts(world.sensor, world.action)
         raise LogError(
             f"log '{log.path}': its observations have {found} values, the network reads {world.observation_size} "
-            f"(sensor.rays={world.sensor.rays}, observation={','.join(world.observation.terms)}); "
-            "set both as in the run that wrote it"
+            f"({', '.join(f'{part.width} of {part.name}' for part in parts)}); "
+            "set sensor.rays and observation as in the run that wrote it"
         )
 
 

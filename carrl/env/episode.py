@@ -10,6 +10,7 @@ from torch import Tensor
 
 from carrl.env.action import ActionMap
 from carrl.env.random_streams import RandomStreams
+from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Outcome, Simulator
 
@@ -74,7 +75,11 @@ class StepContext:
         return self.outcome.ranges / self.simulator.sensor.max_range
 
     def control(self, name: str) -> Tensor:
-        """One control of the step by its name, [N], in [-1, 1]."""
+        """One control of the step by its name, [N], in [-1, 1].
+
+        Raises:
+            ConfigError: the vehicle has none of this name.
+        """
         return self._controls[:, self._index(name)]
 
     def last_control(self, name: str) -> Tensor:
@@ -86,4 +91,7 @@ class StepContext:
         return self.action.controls(self.taken)
 
     def _index(self, name: str) -> int:
-        return self.simulator.vehicle.control_names.index(name)
+        names = self.simulator.vehicle.control_names
+        if name not in names:
+            raise ConfigError(f"a term wants the control {name!r}; the vehicle has {', '.join(names)}")
+        return names.index(name)

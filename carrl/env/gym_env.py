@@ -36,9 +36,10 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     truncates episodes, at 1,000 steps or at its `max_episode_steps`, so that an episode whose last step is a collision
     is both terminated and truncated.
 
-    Observations are distances along each ray / range, [R], float32, in [0, 1], right to left; with `observe_action`
-    [R + 3]. Actions are 0 forward, 1 left, 2 right. `info` holds `pose` (x m, y m, heading rad), `gates_passed`,
-    `track` (the name of the one it drives on), and after a step the reward's terms by name.
+    Observations are distances along each ray / range, [R], float32, in [0, 1], right to left, unless
+    `observation` says otherwise. Actions are 0 forward, 1 left, 2 right, unless `action` says otherwise. `info` holds
+    `pose` (x m, y m, heading rad), `gates_passed`, `track` (the name of the one it drives on), and after a step the
+    reward's terms by name.
 
     Args:
         track: a track, or what `Track.load` takes, or a list of such.
@@ -96,7 +97,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         if before is None:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
         if not self.action_space.contains(action):
-            raise gymnasium.error.InvalidAction(f"action is {action}; {allowed_actions(self.task)}")
+            raise gymnasium.error.InvalidAction(f"action is {action}; it must be {allowed_actions(self.task)}")
         after = self.task.step(before.state, torch.as_tensor(np.asarray(action))[None])
         self._now = now = Begun(after.state, after.observation)
         terms = after.reward_terms
@@ -200,11 +201,11 @@ def action_space(task: Task) -> gymnasium.Space[Any]:
 
 def allowed_actions(task: Task) -> str:
     """What an action must be, as the end of a sentence."""
-    if task.action.names:
-        return "it must be " + ", ".join(f"{number} {name}" for number, name in enumerate(task.action.names))
-    return (
-        f"it must be {len(task.action.control_names)} numbers within -1 and 1: {', '.join(task.action.control_names)}"
-    )
+    if not task.action.names:
+        controls = task.action.control_names
+        return f"{len(controls)} numbers within -1 and 1: {', '.join(controls)}"
+    *others, last = (f"{number} {name}" for number, name in enumerate(task.action.names))
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def check_options(options: Mapping[str, Any], others: Sequence[str] = ("max_episode_steps",)) -> None:

@@ -230,7 +230,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         taken = np.array(actions, dtype=space.dtype)
         low, high = (0, space.n - 1) if isinstance(space, Discrete) else (-1, 1)
         if taken.shape != self.action_space.shape or not (low <= taken.min() and taken.max() <= high):
-            raise InvalidAction(f"these are not actions of {self.num_envs} cars; of each {allowed_actions(self.task)}")
+            raise InvalidAction(f"actions must be those of {self.num_envs} cars, each {allowed_actions(self.task)}")
         return torch.from_numpy(taken)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:

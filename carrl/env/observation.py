@@ -101,3 +101,8 @@ class Observation:
 def rays_only() -> Observation:
     """The paper's."""
     return Observation({"rays": Rays()})
+
+
+def rays_and_last_action() -> Observation:
+    """For a driver that is to steer smoothly."""
+    return Observation({"rays": Rays(), "last_action": LastAction()})

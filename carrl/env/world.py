@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
-from carrl.env.action import ActionMap
+from carrl.env.action import ActionMap, check_fits
 from carrl.env.observation import Observation
 from carrl.env.reward import Reward
 from carrl.env.task import Task
@@ -38,6 +38,10 @@ class World:
     action: ActionMap
     observation: Observation
     reward: Reward
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError unless the actions fit the vehicle."""
+        check_fits(self.action, self.vehicle)
 
     @property
     def track(self) -> Track:

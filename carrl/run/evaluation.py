@@ -3,15 +3,16 @@
 Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torchrl.data import Categorical
 
-from carrl.env.action import ActionMap
+from carrl.env.action import ActionMap, steer3
 from carrl.env.observation import rays_only
 from carrl.env.reward import LAP_TERMS
 from carrl.env.task import Task
@@ -88,8 +89,8 @@ class Drive:
 
 
 def rule_world(world: World) -> World:
-    """The same world for the hand-written rule, which reads the rays and steers the paper's car."""
-    return replace(world, observation=rays_only())
+    """The same world for the hand-written rule, which reads the rays alone and has the paper's actions."""
+    return replace(world, observation=rays_only(), action=steer3())
 
 
 def rule_policy(readings: Tensor) -> Tensor:
@@ -106,8 +107,15 @@ def rule_policy(readings: Tensor) -> Tensor:
 
 def random_policy(seed: int, action: ActionMap) -> Policy:
     """Actions drawn evenly, the same for the same seed."""
-    generator, count = torch.Generator().manual_seed(seed), action.spec.n
-    return lambda observation: torch.randint(count, observation.shape[:1], generator=generator).to(observation.device)
+    generator, spec = torch.Generator().manual_seed(seed), action.spec
+
+    def act(observation: Tensor) -> Tensor:
+        cars = len(observation)
+        if isinstance(spec, Categorical):
+            return torch.randint(spec.n, (cars,), generator=generator).to(observation.device)
+        return (2 * torch.rand(cars, *spec.shape, generator=generator) - 1).to(observation.device)
+
+    return act
 
 
 def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -> list[Drive]:
@@ -205,7 +213,7 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
     near = reward.near_wall.is_near_wall(course.ranges[1:] / simulator.sensor.max_range)
     lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
-    steer = course.control[..., simulator.vehicle.control_names.index("steer")]
+    steer = _steer(course.control, simulator.vehicle.control_names)
     progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
@@ -230,3 +238,8 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
             )
         )
     return drives
+
+
+def _steer(control: Tensor, names: Sequence[str]) -> Tensor:
+    """The control `steer` of these [..., C]: [...]; 0 for a car that is not steered."""
+    return control[..., names.index("steer")] if "steer" in names else torch.zeros_like(control[..., 0])

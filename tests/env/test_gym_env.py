@@ -8,10 +8,9 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-from carrl.env.start import Start
 import carrl
-from carrl.env.reward import TERMS
-from carrl.env.task import Task
+from carrl import Start, rays_and_last_action
+from carrl.env.task import make_task
 from carrl.errors import ConfigError
 
 
@@ -29,7 +28,7 @@ def _no_display(monkeypatch):
         {"render_mode": "rgb_array"},
         {"render_mode": "human"},
         {"start": Start(anywhere=True)},
-        {"observation": WITH_ACTION},
+        {"observation": rays_and_last_action()},
     ],
 )
 def test_gymnasiums_checker_passes(options):
@@ -51,7 +50,9 @@ def test_it_is_the_same_task_as_the_torchrl_environment():
         transition, state = env.step_and_maybe_reset(state.set("action", torch.tensor([action])))
         after = transition["next"]
         assert (reward, terminated, truncated) == (after["reward"].item(), after["terminated"].item(), False)
-        assert [info[name] for name in TERMS] == after["reward_terms"][0].tolist()
+        assert [info[name] for name in ("collision", "proximity", "gate", "steering")] == after["reward_terms"][
+            0
+        ].tolist()
         if terminated:
             observation, info = gym_env.reset()
 
@@ -100,7 +101,7 @@ def test_an_action_that_does_not_exist_is_refused():
 def test_a_misspelt_option_is_answered_with_all_that_there_are():
     with pytest.raises(ConfigError, match="there is no option 'random_strat'") as refusal:
         gymnasium.make("carrl/Track-v0", random_strat=True)
-    names = {"track", "render_mode", "max_episode_steps", *inspect.signature(Task).parameters}
+    names = {"track", "render_mode", "max_episode_steps", *inspect.signature(make_task).parameters}
     names -= {"max_steps", "num_envs", "seeds", "device"}
     assert set(str(refusal.value).split("choose from ")[1].split(", ")) == names
 

@@ -166,7 +166,12 @@ def test_drawing_is_quick_on_tracks_of_any_length(track, request):
 
 def test_a_noisy_sensor_with_the_last_action_and_a_slow_car_is_drawn_too():
     sensor = carrl.Sensor(rays=1, field_of_view=90, max_range=40, noise=0.5)
-    env = make(sensor=sensor, observation=WITH_ACTION, vehicle=carrl.Vehicle(time_step=0.05), track=["oval", "paper"])
+    env = make(
+        sensor=sensor,
+        observation=carrl.rays_and_last_action(),
+        vehicle=carrl.Vehicle(time_step=0.05),
+        track=["oval", "paper"],
+    )
     env.step(2)
     assert env.render().shape == (480, 640, 3)
     assert env.metadata["render_fps"] == 20

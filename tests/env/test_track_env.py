@@ -4,8 +4,8 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from carrl.env.start import Start
-from carrl import Reward, Sensor, Track, TrackEnv, Vehicle
+from carrl import Reward, Sensor, Start, Track, TrackEnv, Vehicle, paper_reward, rays_and_last_action
+from carrl.env.reward import Shaping
 from carrl.errors import ConfigError, TrackError
 
 
@@ -167,7 +167,7 @@ def test_a_different_car_can_be_driven():
 
 
 def test_the_last_action_can_be_observed():
-    env = TrackEnv(num_envs=2, max_steps=3, observation=WITH_ACTION)
+    env = TrackEnv(num_envs=2, max_steps=3, observation=rays_and_last_action())
     check_env_specs(env)
     state = env.reset()
     assert state["observation"][:, 7:].tolist() == [[1, 0, 0]] * 2
@@ -250,10 +250,12 @@ def test_starts_vary_beside_the_centreline_and_in_heading():
     assert -20 <= degrees.min() < -18 and 18 < degrees.max() <= 20
 
 
-@pytest.mark.parametrize(("option", "value"), [("offset", 1.5), ("offset", -0.1), ("heading_jitter", 200.0)])
+@pytest.mark.parametrize(
+    ("option", "value"), [("offset", 1.5), ("offset", -0.1), ("heading_jitter", 200.0), ("offset", float("nan"))]
+)
 def test_a_start_that_cannot_be_is_refused(option, value):
-    with pytest.raises(ConfigError, match=rf"env\.{option} is {value}; it must be "):
-        TrackEnv(**{option: value})
+    with pytest.raises(ConfigError, match=rf"start\.{option} is {value}; it must be "):
+        Start(**{option: value})
 
 
 # Sensors that err
@@ -294,9 +296,8 @@ def test_the_reward_counts_true_distances_whatever_the_sensor_reads():
 def test_agents_with_noisy_sensors_fare_as_they_would_alone():
     options = {
         "num_envs": 2,
-        "start": carrl.Start(anywhere=True),
+        "start": Start(anywhere=True, heading_jitter=5.0),
         "sensor": Sensor(noise=0.3, dropout=0.1),
-        "heading_jitter": 5.0,
     }
     together = TrackEnv(seed=[5, 6], **options).rollout(150, break_when_any_done=False)
     for index, seed in enumerate((5, 6)):

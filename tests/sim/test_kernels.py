@@ -20,12 +20,12 @@ from carrl.sim import kernels
 from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.kernels import Kernels
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import CarState, Outcome, Simulator
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
 from tests.sim.shapes import random_poses, random_track
-from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer
+from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer, tensors
 
 exactly = settings(derandomize=True, deadline=None, max_examples=60)
 TRACKS = [*builtin_names(), *range(3)]
@@ -47,20 +47,15 @@ def both(
 
 
 def random_cars(simulator: Simulator, count: int, seed: int) -> tuple[CarState, Tensor]:
-    """Cars anywhere, half of them with the gate next that is, and their actions."""
+    """Cars anywhere, half of them with the gate next that is, and their controls."""
     generator = torch.Generator().manual_seed(seed)
     stations = simulator.track.length * torch.rand(count, generator=generator, dtype=torch.float64)
     state = simulator.start(stations)
     pose = random_poses(simulator.track, count, seed)
     pose[: count // 2] = state.pose[: count // 2] + 0.5 * torch.randn(count // 2, 3, generator=generator)
     gates_passed = torch.randint(100, (count,), generator=generator)
-    return replace(state, state=pose, gates_passed=gates_passed), torch.randint(
-        len(ACTIONS), (count,), generator=generator
-    )
-
-
-def tensors(outcome: Outcome) -> list[Tensor]:
-    return [*vars(outcome.cars).values(), outcome.ranges, outcome.collided, outcome.gates_passed]
+    actions = torch.randint(len(ACTIONS), (count,), generator=generator)
+    return replace(state, state=pose, gates_passed=gates_passed), steer(actions)
 
 
 def ring_of_walls(corners: int, radius: float) -> Tensor:
@@ -89,8 +84,8 @@ def sense_among(walls: Tensor, angles: Tensor, pose: Tensor, max_range: float = 
 @pytest.mark.parametrize("name", TRACKS)
 def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     compiled, plain = both(track_of(name), Vehicle(speed=speed))
-    state, action = random_cars(plain, 2000, seed=1)
-    ours, theirs = compiled.step(state, steer(action)), plain.step(state, steer(action))
+    state, control = random_cars(plain, 2000, seed=1)
+    ours, theirs = compiled.step(state, control), plain.step(state, control)
     # Cosines may differ in their last bit, which moves a rounded coordinate by as much.
     torch.testing.assert_close(ours.cars.pose[:, :2], theirs.cars.pose[:, :2], atol=1e-6, rtol=2**-23)
     assert torch.equal(ours.cars.pose[:, 2], theirs.cars.pose[:, 2])
@@ -104,13 +99,13 @@ def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     assert all(torch.equal(getattr(ours, name)[decided], getattr(theirs, name)[decided]) for name in counts)
     assert torch.equal(ours.cars.next_gate[decided], theirs.cars.next_gate[decided])
     assert torch.equal(ours.cars.gates_passed[decided], theirs.cars.gates_passed[decided])
-    torch.testing.assert_close(ours.ranges, plain.sense(ours.state), atol=1e-5, rtol=0)
+    torch.testing.assert_close(ours.ranges, plain.sense(ours.cars), atol=1e-5, rtol=0)
 
 
 def test_a_bicycle_steps_as_in_torch():
     compiled, plain = both(Track.load("paper"), Bicycle())
-    state, action = random_cars(plain, 2000, seed=1)
-    ours, theirs = compiled.step(state, steer(action)), plain.step(state, steer(action))
+    state, control = random_cars(plain, 2000, seed=1)
+    ours, theirs = compiled.step(state, control), plain.step(state, control)
     torch.testing.assert_close(ours.cars.pose, theirs.cars.pose, atol=1e-5, rtol=0)
     assert torch.equal(ours.collided, theirs.collided)
     assert torch.equal(ours.gates_passed, theirs.gates_passed)
@@ -161,8 +156,8 @@ def test_a_wall_counts_up_to_the_very_range(max_range: float):
 @pytest.mark.parametrize("speed", [1.0, 300.0, 1e4])
 def test_collisions_depend_on_neither_speed_nor_range_of_the_rays(max_range: float, speed: float):
     compiled, plain = both(track_of(0), Vehicle(speed=speed), Sensor(max_range=max_range))
-    state, action = random_cars(plain, 1000, seed=3)
-    outcome = compiled.step(state, steer(action))
+    state, control = random_cars(plain, 1000, seed=3)
+    outcome = compiled.step(state, control)
     ends = (pose[:, :2].double() for pose in (state.pose, outcome.cars.pose))
     assert torch.equal(outcome.collided, path_clearance(*ends, plain.track.walls.double()) < plain.vehicle.body_radius)
 
@@ -219,22 +214,22 @@ def test_episodes_end_as_in_torch_after_hundreds_of_steps(name: str):
 
 def test_a_car_fares_alone_as_among_a_thousand_bit_for_bit():
     simulator = Simulator(Track.load("serpentine"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 1000, seed=5)
-    together = simulator.step(state, steer(action))
+    state, control = random_cars(simulator, 1000, seed=5)
+    together = simulator.step(state, control)
     for index in range(0, 1000, 7):
         car = slice(index, index + 1)
         one = state[car]
-        alone = simulator.step(one, steer(action[car]))
+        alone = simulator.step(one, control[car])
         assert all(torch.equal(own, all_[car]) for own, all_ in zip(tensors(alone), tensors(together), strict=True))
         assert torch.equal(simulator.sense(one), simulator.sense(state)[car])
 
 
 def test_outputs_are_new_tensors_of_the_stated_types():
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 5, seed=6)
-    first = simulator.step(state, steer(action))
+    state, control = random_cars(simulator, 5, seed=6)
+    first = simulator.step(state, control)
     kept = [tensor.clone() for tensor in tensors(first)]
-    simulator.step(first.cars, steer(action))
+    simulator.step(first.cars, control)
     assert all(map(torch.equal, tensors(first), kept))
     types = [torch.float32, torch.int64, torch.int64, torch.int64, torch.float32, torch.bool, torch.int64]
     assert [tensor.dtype for tensor in tensors(first)] == types
@@ -243,13 +238,13 @@ def test_outputs_are_new_tensors_of_the_stated_types():
 
 def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 6, seed=7)
-    expected = simulator.step(state, steer(action))
+    state, control = random_cars(simulator, 6, seed=7)
+    expected = simulator.step(state, control)
     strided = state.map(lambda values: torch.stack([values, values], -1)[..., 0])
     assert not any(tensor.is_contiguous() for tensor in vars(strided).values())
     wide = state.map(lambda values: values.double() if values.is_floating_point() else values.int())
     for other in (strided, wide):
-        outcome = simulator.step(other, steer(action).double())
+        outcome = simulator.step(other, control.double())
         assert all(map(torch.equal, tensors(outcome), tensors(expected)))
         assert torch.equal(simulator.sense(other), simulator.sense(state))
     assert [len(each.dispatcher.signatures) for each in (kernels._follow, kernels._sense)] == [1, 1]
@@ -257,9 +252,9 @@ def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
 
 def test_a_pose_that_is_no_number_spoils_nothing_else():
     compiled, plain = both(Track.load("oval"))
-    state, action = random_cars(plain, 6, seed=8)
+    state, control = random_cars(plain, 6, seed=8)
     state.state[[0, 2, 4], [0, 1, 2]] = torch.tensor([math.nan, math.inf, -math.inf])
-    ours, theirs = compiled.step(state, steer(action)), plain.step(state, steer(action))
+    ours, theirs = compiled.step(state, control), plain.step(state, control)
     for one, other in zip(tensors(ours), tensors(theirs), strict=True):
         torch.testing.assert_close(one, other, equal_nan=True, atol=1e-5, rtol=0)
 
@@ -267,10 +262,8 @@ def test_a_pose_that_is_no_number_spoils_nothing_else():
 @pytest.mark.parametrize("short", range(5))
 def test_inputs_of_unequal_numbers_of_cars_are_refused(short: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 3, seed=9)
-    inputs = [
-        tensor[:2] if index == short else tensor for index, tensor in enumerate([*vars(state).values(), steer(action)])
-    ]
+    state, control = random_cars(simulator, 3, seed=9)
+    inputs = [tensor[:2] if index == short else tensor for index, tensor in enumerate([*vars(state).values(), control])]
     with pytest.raises(ValueError, match="the same number of cars"):
         simulator.step(CarState(*inputs[:4]), inputs[4])
     with pytest.raises(ValueError, match="begin with a pose"):
@@ -281,10 +274,10 @@ def test_inputs_of_unequal_numbers_of_cars_are_refused(short: int):
 @pytest.mark.parametrize("field", ["next_gate", "track"])
 def test_a_gate_or_a_track_that_is_not_there_is_refused(field: str, wrong: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 3, seed=9)
+    state, control = random_cars(simulator, 3, seed=9)
     elsewhere = replace(state, **{field: torch.tensor([0, wrong, 0])})
     with pytest.raises(ValueError, match="index is not one of those"):
-        simulator.step(elsewhere, steer(action))
+        simulator.step(elsewhere, control)
     with pytest.raises(ValueError, match="index is not one of those"):
         simulator.sense(elsewhere)
 
@@ -310,14 +303,9 @@ def test_threads_may_step_at_the_same_time():
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda simulator: pickle.loads(pickle.dumps(simulator))])
 def test_a_copy_of_a_simulator_steps_like_the_original(copied):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 4, seed=10)
-    assert all(
-        map(
-            torch.equal,
-            tensors(copied(simulator).step(state, steer(action))),
-            tensors(simulator.step(state, steer(action))),
-        )
-    )
+    state, control = random_cars(simulator, 4, seed=10)
+    ours, copys = (each.step(state, control) for each in (simulator, copied(simulator)))
+    assert all(map(torch.equal, tensors(ours), tensors(copys)))
 
 
 SENSE_ONCE = """

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from carrl.errors import ConfigError
 from carrl.sim.geometry import ray_distances
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, CarState
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
 from tests.reference.scalar_rays import ray_distance

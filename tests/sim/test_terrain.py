@@ -101,7 +101,7 @@ def test_cars_on_different_tracks_drive_as_each_would_alone(compiled: bool):
         single = alone.start(stations[cars])
         for actions, outcome in zip(plans, outcomes, strict=True):
             expected = alone.step(single, steer(actions[cars]))
-            single = expected.state
+            single = expected.cars
             assert torch.equal(outcome.ranges[cars], expected.ranges)
             assert torch.equal(outcome.collided[cars], expected.collided)
             assert torch.equal(outcome.cars.pose[cars], single.pose)

@@ -13,12 +13,14 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.view.action_colours import action_colours
 from carrl.view.close_up import draw_close_up
 from carrl.view.curve_panel import DOT, block_centres, common_bounds
 from carrl.view.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_png
-from carrl.view.lap import ACTION_COLOURS, draw_lap, prevailing_actions, ray_ends, same_action_stretches
+from carrl.view.lap import draw_lap, prevailing_actions, ray_ends, same_action_stretches
 from carrl.view.learning_curve import RunCurve, block_means, draw_learning_curve, draw_learning_curves
 from carrl.view.track_map import GATE, ROAD, draw_track_map, round_number
+from tests.sim.steering import LEFT, steer
 
 
 def pixels_of(path, colour, tolerance=6):
@@ -66,7 +68,10 @@ def rule(_, ranges):
 
 def draw(path, track, poses, ranges, actions, **options):
     angles = Sensor().angles.numpy()
-    draw_lap(path, track, poses, ranges, angles, actions, body_radius=0.5, title="a drive", **options)
+    names = ("forward", "left", "right")
+    draw_lap(
+        path, track, poses, ranges, angles, actions, action_names=names, body_radius=0.5, title="a drive", **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +190,7 @@ def test_a_lap_shows_road_gates_line_rays_and_cars(tmp_path, paper, lap):
     assert width == 910
     assert 500 < height < 1000
     assert pixels_of(tmp_path / "lap.png", ROAD) > 50_000
-    for colour in (*ACTION_COLOURS.values(), GREEN, YELLOW):
+    for colour in (*action_colours(3), GREEN, YELLOW):
         assert pixels_of(tmp_path / "lap.png", colour) > 50
 
 
