@@ -66,8 +66,8 @@ class DiscreteActions:
         for control, values in self.settings.items():
             if len(values) != len(self.names) or not all(_is_setting(value) for value in values):
                 raise ConfigError(
-                    f"action.settings.{control} is {list(values)}; it must have {len(self.names)} numbers "
-                    f"within -1 and 1, one for each of {', '.join(self.names)}"
+                    f"action.settings.{control} is {list(values)}; it must have a number within -1 and 1 "
+                    f"for each of {', '.join(self.names)}"
                 )
 
     @property

@@ -202,8 +202,7 @@ def action_space(task: Task) -> gymnasium.Space[Any]:
 def allowed_actions(task: Task) -> str:
     """What an action must be, as the end of a sentence."""
     if not task.action.names:
-        controls = task.action.control_names
-        return f"{len(controls)} numbers within -1 and 1: {', '.join(controls)}"
+        return f"a number within -1 and 1 for each of {', '.join(task.action.control_names)}"
     *others, last = (f"{number} {name}" for number, name in enumerate(task.action.names))
     return f"{', '.join(others)} or {last}" if others else last
 

@@ -26,6 +26,7 @@ from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
 from tests.sim.shapes import random_poses, random_track
 from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer, tensors
+from tests.sim.vehicles import Interpreted, Odometer
 
 exactly = settings(derandomize=True, deadline=None, max_examples=60)
 TRACKS = [*builtin_names(), *range(3)]
@@ -346,3 +347,38 @@ simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor()
 print("numba" in sys.modules)
 """
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+# Vehicles without machine code
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_a_vehicle_without_machine_code_steps_in_torch_and_the_same(name: str | int):
+    compiled, interpreted = both(track_of(name))[0], both(track_of(name), Interpreted())[0]
+    state, control = random_cars(compiled, 2000, seed=1)
+    ours, theirs = compiled.step(state, control), interpreted.step(state, control)
+    torch.testing.assert_close(theirs.cars.pose[:, :2], ours.cars.pose[:, :2], atol=1e-6, rtol=2**-23)
+    assert torch.equal(theirs.cars.pose[:, 2], ours.cars.pose[:, 2])
+    ends = (pose[:, :2].double() for pose in (state.pose, ours.cars.pose))
+    clearance = path_clearance(*ends, compiled.track.walls.double())
+    decided = (clearance - compiled.vehicle.body_radius).abs() > UNDECIDED
+    assert decided.float().mean() > 0.99
+    for one, other in zip(
+        tensors(ours)[1:4] + tensors(ours)[5:], tensors(theirs)[1:4] + tensors(theirs)[5:], strict=True
+    ):
+        assert torch.equal(one[decided], other[decided])
+    torch.testing.assert_close(theirs.ranges, interpreted.sense(theirs.cars), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_else_is_in_a_state_is_the_vehicles_own_business(compiled: bool):
+    simulators = [both(Track.load("oval"), vehicle)[0 if compiled else 1] for vehicle in (Odometer(), Interpreted())]
+    cars = [each.start(torch.tensor([0.0, 20.0])) for each in simulators]
+    assert cars[0].state[:, 3].tolist() == [0, 0]
+    for action in (FORWARD, LEFT, RIGHT, LEFT):
+        control = steer(torch.tensor([action, FORWARD]))
+        own, plain = (each.step(state, control) for each, state in zip(simulators, cars, strict=True))
+        cars = [own.cars, plain.cars]
+        assert torch.equal(own.cars.pose, plain.cars.pose)
+        assert all(map(torch.equal, tensors(own)[1:], tensors(plain)[1:]))
+    torch.testing.assert_close(cars[0].state[:, 3], torch.full((2,), 4 * Odometer().step_length))
