@@ -24,6 +24,8 @@ class Rows:
 
     def __getitem__(self, index: Any) -> Self:
         """The rows at these indices, or where this mask holds."""
+        if isinstance(index, Tensor) and index.dtype is torch.bool and index.dim() == 1:
+            index = index.nonzero()[:, 0]  # once, instead of for each field
         return self.map(lambda values: values[index])
 
     def replacing(self, wanted: Tensor, others: Self) -> Self:

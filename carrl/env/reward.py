@@ -70,7 +70,8 @@ class Proximity(_Weighted):
 
     def __call__(self, step: StepContext) -> Tensor:
         """The weight where the car is near a wall after the step."""
-        return (self.is_near_wall(step.readings) & ~step.outcome.collided) * self.weight
+        nearest = step.outcome.ranges.amin(dim=-1) / step.simulator.sensor.max_range  # one division a car, not a ray
+        return ((nearest < self.threshold) & ~step.outcome.collided) * self.weight
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Steering(_Weighted):
     def __call__(self, step: StepContext) -> Tensor:
         """In proportion to the control `steer` and to its change."""
         if not self.turn and not self.switch:
-            return torch.zeros_like(step.outcome.ranges[:, 0])
+            return step.outcome.ranges.new_zeros(len(step.outcome.ranges))
         steer, last_steer = step.control("steer"), step.last_control("steer")
         return self.turn * steer.abs() + self.switch * (steer - last_steer).abs()
 

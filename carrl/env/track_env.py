@@ -21,7 +21,7 @@ from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track
-from carrl.sim.vehicle import VehicleModel
+from carrl.sim.vehicle import POSE, VehicleModel
 
 
 class TrackEnv(EnvBase):
@@ -35,8 +35,8 @@ class TrackEnv(EnvBase):
     | `reward_terms` | [N, K] float32 | by default collision, proximity, gate, steering; zero after a reset |
     | `terminated` | [N, 1] bool | the car touched a wall |
     | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
-    | `state` | [N, S] float32 | of the vehicle, named by `state_names` |
-    | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x: the first entries of the state |
+    | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
+    | `state` | [N, S] float32 | named by `state_names`, the pose first; of vehicles whose state has more than a pose |
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
     | `last_action` | as `action` | of the step before; the first action after a reset |
     | `track` | [N] int64 | index into `tracks` of what the car drives on |
@@ -99,6 +99,7 @@ class TrackEnv(EnvBase):
         )
         super().__init__(device=device, batch_size=[task.cars])
         self.task = task
+        self._state_key = "pose" if self.state_names == POSE else "state"
         self._declare_specs()
         self._start_line = self._begin(task.start()) if task.starts_alike else None
 
@@ -149,10 +150,10 @@ class TrackEnv(EnvBase):
         return self._begin(self.task.start(wanted), wanted.nonzero()[:, 0])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        cars = CarState(*(tensordict[key] for key in ("state", "next_gate", "gates_passed", "track")))
+        cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
         state = EpisodeState(cars, tensordict["step"], tensordict["last_action"])
         after = self.task.step(state, tensordict["action"])
-        values = _as_dict(after) | {
+        values = self._as_dict(after) | {
             "reward_terms": after.reward_terms,
             "reward": after.reward_terms.sum(dim=-1, keepdim=True),
             "terminated": after.terminated[:, None],
@@ -166,7 +167,7 @@ class TrackEnv(EnvBase):
 
     def _begin(self, begun: Begun, cars: Tensor | None = None) -> TensorDict:
         """All cars, or these [K], at the start of an episode, not done; zeros elsewhere."""
-        values = _as_dict(begun)
+        values = self._as_dict(begun)
         if cars is not None:
             for key, value in values.items():
                 values[key] = value.new_zeros(*self.batch_size, *value.shape[1:]).index_copy_(0, cars, value)
@@ -174,6 +175,20 @@ class TrackEnv(EnvBase):
         for key in ("done", "terminated", "truncated"):
             values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _as_dict(self, now: Begun | StepResult) -> dict[str, Tensor]:
+        """The state and the observation by the names of the keys."""
+        state, cars = now.state, now.state.cars
+        return {
+            "observation": now.observation,
+            "pose": cars.pose,
+            self._state_key: cars.state,
+            "next_gate": cars.next_gate,
+            "gates_passed": cars.gates_passed,
+            "track": cars.track,
+            "step": state.step,
+            "last_action": state.last_action,
+        }
 
     def _declare_specs(self) -> None:
         cars, task = self.batch_size[0], self.task
@@ -187,7 +202,7 @@ class TrackEnv(EnvBase):
         count, flag = Unbounded((cars,), dtype=torch.int64), Binary(1, shape=(cars, 1), dtype=torch.bool)
         self.action_spec = task.action.spec.expand(cars, *task.action.spec.shape)
         state = {
-            "state": numbers(len(self.state_names)),
+            self._state_key: numbers(len(self.state_names)),
             "next_gate": index(max(track.gate_count for track in self.tracks)),
             "gates_passed": count,
             "track": index(len(self.tracks)),
@@ -201,8 +216,7 @@ class TrackEnv(EnvBase):
         self.observation_spec = Composite(
             observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
             reward_terms=numbers(len(task.reward.term_names)),
-            pose=numbers(3),
-            **state,
+            **{"pose": numbers(3), **state},
             shape=(cars,),
         ).to(self.device)
         self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,)).to(self.device)
@@ -210,15 +224,3 @@ class TrackEnv(EnvBase):
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,)).to(
             self.device
         )
-
-
-def _as_dict(now: Begun | StepResult) -> dict[str, Tensor]:
-    """The state and the observation by the names of the keys."""
-    state = now.state
-    return {
-        "observation": now.observation,
-        **vars(state.cars),
-        "pose": state.cars.pose,
-        "step": state.step,
-        "last_action": state.last_action,
-    }

@@ -150,7 +150,7 @@ class Vehicle(ConstantSpeed):
 
     def step(self, state: Tensor, control: Tensor) -> Tensor:
         """Turns first, then drives."""
-        heading = state[:, 2] + control[:, 0] * self.yaw_per_step
+        heading = state[:, 2] + control[:, 0].to(state) * self.yaw_per_step
         return _placed(state, self.step_length, heading, heading)
 
 

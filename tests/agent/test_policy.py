@@ -44,7 +44,7 @@ def test_every_agent_acts_as_its_own_network_would(make):
     written = policy(TensorDict({"observation": observation}, [12]))
     for key in ("action_value", "chosen_action_value", "action"):
         torch.testing.assert_close(written[key], expected[key])
-    assert torch.equal(policy.actions(observation, torch.zeros(12, dtype=torch.int64)), expected["action"])
+    assert torch.equal(policy.actions(observation), expected["action"])
 
 
 def test_together_and_alone_the_values_are_the_same_bit_for_bit():

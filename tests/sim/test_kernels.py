@@ -234,7 +234,9 @@ def test_outputs_are_new_tensors_of_the_stated_types():
     assert all(map(torch.equal, tensors(first), kept))
     types = [torch.float32, torch.int64, torch.int64, torch.int64, torch.float32, torch.bool, torch.int64]
     assert [tensor.dtype for tensor in tensors(first)] == types
-    assert len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *vars(state).values()]}) == 11
+    assert (
+        len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *vars(state).values(), control]}) == 11
+    )
 
 
 def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
