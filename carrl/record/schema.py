@@ -159,7 +159,7 @@ def message_class(topic: str) -> type[Any]:
 
 
 def empty_columns() -> dict[str, np.ndarray]:
-    """No transitions at all, each column with its loaded type; columns of a free width have width 0, for nobody wrote it."""
+    """No transitions at all, each column with its loaded type; a free width is 0, for nobody wrote it."""
     return {
         column.name: np.zeros((0, *(0 if isinstance(extent, str) else extent for extent in column.shape)), column.dtype)
         for column in COLUMNS
