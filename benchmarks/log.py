@@ -17,6 +17,7 @@ from benchmarks.log_reading import READINGS, THROUGH_ALL
 from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.agent.network import make_q_network
+from carrl.env.start import Start
 from carrl.env.track_env import TrackEnv
 from carrl.log import load
 from carrl.record.messages import Episode
@@ -82,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def drive(count: int) -> tuple[TensorDict, list[Episode]]:
     """So many transitions of cars that the rule drives, with the values of an untrained network, and their episodes."""
-    env = TrackEnv("paper", num_envs=CARS, seed=0, random_start=True)
+    env = TrackEnv("paper", num_envs=CARS, seed=0, start=Start(anywhere=True))
     generator = torch.Generator().manual_seed(0)
     network = make_q_network([16, 16, 8], observation_size=7, action_count=3, generator=generator)
     tracker = EpisodeTracker(1, CARS, env.track.gate_count, env.simulator.vehicle.time_step)
@@ -101,7 +102,7 @@ def drive(count: int) -> tuple[TensorDict, list[Episode]]:
 def _choose(state: Any, env: TrackEnv) -> Any:
     """The rule's actions, and random ones with the marks that exploration leaves in a run."""
     exploratory = torch.rand(CARS) < EPSILON
-    by_rule = rule_policy(state["observation"], state["last_action"])
+    by_rule = rule_policy(state["observation"])
     state["action"] = torch.where(exploratory, env.rand_action()["action"], by_rule)
     state["exploratory"] = exploratory
     state["epsilon"] = torch.full((CARS,), EPSILON)

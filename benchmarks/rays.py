@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -13,7 +13,7 @@ from benchmarks.options import Parser, positive, tell
 from carrl.errors import CarrlError
 from carrl.sim.geometry import ray_distances
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.terrain import Plot
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
@@ -88,9 +88,9 @@ def compare(track: Track, rays: int, max_range: float) -> Comparison:
     simulator = Simulator(track, Vehicle(), sensor)
     plot = Plot.of_track(track, max(max_range, 1.5))
     cars, generator = -(-rays // sensor.rays), torch.Generator().manual_seed(0)
-    state = State.at(_poses(track, cars, generator))
+    state = CarState.at(_poses(track, cars, generator))
     gates = [(plot.level_of_gate == level).nonzero()[0, 0] for level in range(len(plot.visible))]
-    state = state._replace(next_gate=torch.stack(gates)[torch.arange(cars) % len(gates)])
+    state = replace(state, next_gate=torch.stack(gates)[torch.arange(cars) % len(gates)])
     ranges, off, largest = simulator.sense(state), 0, 0.0
     tell(f"{track.name}: {ranges.numel():,} rays among {len(track.walls):,} walls")
     for level, visible in enumerate(plot.visible):

@@ -19,10 +19,12 @@ from torchrl.envs.utils import RandomPolicy
 import carrl  # registers carrl/Track-v0
 from benchmarks.child import BenchError
 from carrl.data.collector import make_collector
+from carrl.env.action import steer3
+from carrl.env.start import Start
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 
 GYM_ID = "carrl/Track-v0"
 SEED = 0
@@ -64,30 +66,29 @@ def random_stations(track: Track, cars: int) -> Tensor:
     return torch.rand(cars, dtype=torch.float64, generator=_generator()) * track.length
 
 
-def put_back(collided: Tensor, start: State, now: State) -> State:
+def put_back(collided: Tensor, start: CarState, now: CarState) -> CarState:
     """The state now, but that of the start for the cars that collided, [N]."""
     if not collided.any():
         return now
-    pairs = zip(start, now, strict=True)
-    return State(*(torch.where(collided.view(-1, *[1] * (after.dim() - 1)), before, after) for before, after in pairs))
+    return start.map(lambda before, after: torch.where(collided.view(-1, *[1] * (after.dim() - 1)), before, after), now)
 
 
 def _drive_simulator(track: Track, cars: int) -> Drive:
     simulator = Simulator(track, Vehicle(), Sensor())
     start = simulator.start(random_stations(track, cars))
-    state, actions = start, _random_actions(cars)
+    state, controls = start, cycle(list(map(steer3().controls, _prepared(cars))))
 
     def drive() -> int:
         nonlocal state
-        outcome = simulator.step(state, next(actions))
-        state = put_back(outcome.collided, start, outcome.state)
+        outcome = simulator.step(state, next(controls))
+        state = put_back(outcome.collided, start, outcome.cars)
         return cars
 
     return drive
 
 
 def _drive_env(track: Track, cars: int) -> Drive:
-    env = carrl.TrackEnv(track, cars, seed=SEED, random_start=True)
+    env = carrl.TrackEnv(track, cars, seed=SEED, start=Start(anywhere=True))
     now, actions = env.reset(), _random_actions(cars)
 
     def drive() -> int:
@@ -100,7 +101,7 @@ def _drive_env(track: Track, cars: int) -> Drive:
 
 
 def _drive_collector(track: Track, cars: int) -> Drive:
-    env = carrl.TrackEnv(track, cars, seed=SEED, random_start=True)
+    env = carrl.TrackEnv(track, cars, seed=SEED, start=Start(anywhere=True))
     torch.manual_seed(SEED)  # The policy draws from torch's own generator, step by step, and within the figure.
     batches = iter(make_collector(COLLECTED_STEPS, env=env, policy=RandomPolicy(env.full_action_spec)))
 
@@ -111,7 +112,7 @@ def _drive_collector(track: Track, cars: int) -> Drive:
 
 
 def _drive_gym(track: Track, cars: int) -> Drive:
-    env = gymnasium.make(GYM_ID, track=track, random_start=True)
+    env = gymnasium.make(GYM_ID, track=track, start=Start(anywhere=True))
     env.reset(seed=SEED)
     actions = cycle([int(action) for action in _prepared(cars)])
 
@@ -127,7 +128,7 @@ def _drive_gym(track: Track, cars: int) -> Drive:
 def _drive_gym_vector(track: Track, cars: int) -> Drive:
     if gymnasium.spec(GYM_ID).vector_entry_point is None:
         raise LeftOutError(f"{GYM_ID} has no vector environment of its own")
-    env = gymnasium.make_vec(GYM_ID, num_envs=cars, track=track, random_start=True)
+    env = gymnasium.make_vec(GYM_ID, num_envs=cars, track=track, start=Start(anywhere=True))
     env.reset(seed=SEED)
     mode = env.metadata.get("autoreset_mode")
     actions = cycle([action.numpy() for action in _prepared(cars)])
@@ -152,7 +153,7 @@ def _drive_vmas(track: Track, cars: int, walls: int | None = None) -> Drive:
     vehicle, sensor = Vehicle(), Sensor()
     start = Simulator(track, vehicle, sensor).start(random_stations(track, cars)).pose
     env = make_road(thin_out(track.walls, walls) if walls else track.walls, start, vehicle, sensor)
-    turns = torch.tensor([0.0, 1.0, -1.0])  # of Action.FORWARD, LEFT and RIGHT
+    turns = torch.tensor([0.0, 1.0, -1.0])  # of FORWARD, LEFT and RIGHT
     actions = cycle([[turns[action][:, None]] for action in _prepared(cars)])
 
     def drive() -> int:
@@ -165,7 +166,7 @@ def _drive_vmas(track: Track, cars: int, walls: int | None = None) -> Drive:
 def _prepared(cars: int) -> list[Tensor]:
     """Random actions of some steps, each [N], int64."""
     generator = _generator()
-    return [torch.randint(len(Action), (cars,), generator=generator) for _ in range(PREPARED)]
+    return [torch.randint(3, (cars,), generator=generator) for _ in range(PREPARED)]
 
 
 def _random_actions(cars: int) -> Iterator[Tensor]:

@@ -31,7 +31,7 @@ def main() -> None:
     track = Track.load("paper")
     began = time.perf_counter()
     simulator = Simulator(track, Vehicle(), Sensor())
-    simulator.step(simulator.start(torch.zeros(1, dtype=torch.float64)), torch.zeros(1, dtype=torch.int64))
+    simulator.step(simulator.start(torch.zeros(1, dtype=torch.float64)), torch.zeros(1, 1))
     print(time.perf_counter() - began)
 
 

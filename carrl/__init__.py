@@ -11,26 +11,35 @@ _IMPORTED_AT = time.monotonic()
 
 if TYPE_CHECKING:
     from carrl import log, sb3
+    from carrl.env.action import ContinuousActions, DiscreteActions
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
-    from carrl.env.reward import Reward
+    from carrl.env.observation import Observation, rays_and_last_action
+    from carrl.env.reward import Reward, paper_reward
+    from carrl.env.start import Start
     from carrl.env.track_env import TrackEnv
     from carrl.sim.sensor import Sensor
     from carrl.sim.track import Track
-    from carrl.sim.vehicle import Action, Bicycle, Vehicle
+    from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
 
 __all__ = [
-    "Action",
     "Bicycle",
+    "ContinuousActions",
+    "DiscreteActions",
     "GymTrackEnv",
     "GymVectorTrackEnv",
+    "Observation",
     "Reward",
     "Sensor",
+    "Start",
     "Track",
     "TrackEnv",
     "Vehicle",
+    "VehicleModel",
     "__version__",
     "log",
+    "paper_reward",
+    "rays_and_last_action",
     "sb3",
 ]
 
@@ -43,15 +52,21 @@ register_with_gymnasium()
 register_with_torchrl()
 
 _HOMES = {
-    "Action": "carrl.sim.vehicle",
     "Bicycle": "carrl.sim.vehicle",
+    "ContinuousActions": "carrl.env.action",
+    "DiscreteActions": "carrl.env.action",
     "GymTrackEnv": "carrl.env.gym_env",
     "GymVectorTrackEnv": "carrl.env.gym_vector_env",
+    "Observation": "carrl.env.observation",
     "Reward": "carrl.env.reward",
     "Sensor": "carrl.sim.sensor",
+    "Start": "carrl.env.start",
     "Track": "carrl.sim.track",
     "TrackEnv": "carrl.env.track_env",
     "Vehicle": "carrl.sim.vehicle",
+    "VehicleModel": "carrl.sim.vehicle",
+    "paper_reward": "carrl.env.reward",
+    "rays_and_last_action": "carrl.env.observation",
 }
 
 

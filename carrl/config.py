@@ -15,7 +15,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "track": ("carrl.sim.track.Track.load", "carrl.sim.track.Track.random", "carrl.sim.circuits.make_circuits"),
     "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
     "sensor": ("carrl.sim.sensor.Sensor",),
-    "reward": ("carrl.env.reward.Reward",),
+    "action": ("carrl.env.action.DiscreteActions", "carrl.env.action.ContinuousActions"),
+    "observation": ("carrl.env.observation.Rays", "carrl.env.observation.LastAction"),
+    "reward": tuple(f"carrl.env.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
+    "start": ("carrl.env.start.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
     "network": (
         "carrl.agent.network.make_q_network",
@@ -79,18 +82,19 @@ def config_dir() -> Path:
     raise ConfigError(f"no configuration: neither {candidates[0]} nor {candidates[1]} holds train.yaml; install again")
 
 
-def build_node(name: str, node: Mapping[str, Any], **dependencies: Any) -> Any:
+def build_node(name: str, node: Mapping[str, Any], *, targets: Sequence[str] | None = None, **dependencies: Any) -> Any:
     """Calls a config node's `_target_` with the node's values and with what only the program knows.
 
     Args:
         name: the node's place in the config, for messages.
         node: `_target_`, and one value for each keyword that the user may choose.
+        targets: what it may name; by default what `TARGETS` lists under its place.
         dependencies: keyword arguments that are objects, such as the network of a loss.
 
     Raises:
         ConfigError: the target is not allowed, or a value has no place in it or another type than it wants.
     """
-    target = _find_target(name, node)
+    target = _find_target(name, node, TARGETS.get(name, ()) if targets is None else targets)
     values = {key: value for key, value in node.items() if key not in ("_target_", "_partial_")}
     _check_values(name, target, values, dependencies)
     try:
@@ -99,9 +103,25 @@ def build_node(name: str, node: Mapping[str, Any], **dependencies: Any) -> Any:
         raise ConfigError(f"{name}: {error}") from error
 
 
-def _find_target(name: str, node: Mapping[str, Any]) -> Callable[..., Any]:
+def build_terms(group: str, nodes: Mapping[str, Any]) -> dict[str, Any]:
+    """The terms of a group such as `reward`, by name in their order; a term that is null is left out.
+
+    Raises:
+        ConfigError: as `build_node`, or the group is no mapping.
+    """
+    if not isinstance(nodes, Mapping):
+        raise ConfigError(f"{group} is {shown(nodes)}; it must map names to terms")
+    return {str(name): _build_term(group, name, node) for name, node in nodes.items() if node is not None}
+
+
+def _build_term(group: str, name: Any, node: Mapping[str, Any]) -> Any:
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ConfigError(f"{group} has a term called {shown(name)}; a term's name is made of letters, digits and _")
+    return build_node(f"{group}.{name}", node, targets=TARGETS[group])
+
+
+def _find_target(name: str, node: Mapping[str, Any], allowed: Sequence[str]) -> Callable[..., Any]:
     path = node.get("_target_") if isinstance(node, Mapping) else None
-    allowed = TARGETS.get(name, ())
     if not isinstance(path, str) or path not in allowed:
         raise ConfigError(f"{name}._target_ is {shown(path)}; it must be {' or '.join(allowed)}")
     target: Callable[..., Any] = get_object(path)
@@ -160,6 +180,10 @@ def _fits(value: Any, hint: Any) -> bool:
         return value in arguments
     if origin is not None and issubclass(origin, Sequence):
         return isinstance(value, list) and all(_fits(item, arguments[0]) for item in value)
+    if origin is not None and issubclass(origin, Mapping):
+        return isinstance(value, dict) and all(
+            _fits(part, hint) for item in value.items() for part, hint in zip(item, arguments, strict=True)
+        )
     if hint in (int, float):
         return not isinstance(value, bool) and isinstance(value, int | hint)
     if hint is type(None):

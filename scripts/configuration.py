@@ -23,6 +23,10 @@ $ carrl train -m experiment=fast loss=dqn,double_dqn,dueling,distributional
 $ carrl train -m experiment=fast returns=one_step,n_step replay_buffer=uniform,prioritized trainer.seeds=[0..9]
 ```
 
+The reward and the observation are sums and rows of terms, each with keys of its own; a term set to `null` is left out:
+`reward.gate.weight=20`, `reward.proximity=null`, `observation=rays_and_last_action`. `carrl.env.reward` and
+`carrl.env.observation` have the terms, `carrl.env.action` what a car can choose among.
+
 What each part of learning does to the first lap stands in [results.md](results.md#parts).
 
 ## What does not go together
@@ -62,15 +66,25 @@ def _option(path: Path, is_default: bool) -> Iterator[str]:
     if about:
         yield f"{about.rstrip('.')}.\n"
     base = [line.split()[1] for line in lines if re.fullmatch(r"  - (?!_self_)\w+", line)]
+    terms = [f"- `{name}`, built by `{target}`{comment}" for name, target, comment in _terms(path)]
     if base:
-        yield f"As `{path.parent.name}={base[0]}`, but for:\n"
+        yield f"As `{path.parent.name}={base[0]}`, {'with' if terms else 'but for'}:\n"
     chosen = re.findall(r"^  - override /(\w+)(?:@\S+)?: (\w+)", path.read_text(), flags=re.MULTILINE)
     if chosen:
         yield f"Picks {', '.join(f'`{group}={option}`' for group, option in chosen)}.\n"
-    targets = re.findall(r"^ *_target_: (\S+)", path.read_text(), flags=re.MULTILINE)
-    if targets:
-        yield f"Built by `{targets[0]}`.\n"
+    target = re.search(r"^ *_target_: (\S+)", path.read_text(), flags=re.MULTILINE)
+    if target and not terms:
+        yield f"Built by `{target[1]}`.\n"
+    if terms:
+        yield "\n".join(terms) + "\n"
     yield from _table(path)
+
+
+def _terms(path: Path) -> Iterator[tuple[str, str, str]]:
+    """What the terms of an observation or a reward are called and built by, and what is said of each."""
+    found = re.findall(r"^(\w+):\n  _target_: (\S+)(?: +# (.*))?$", path.read_text(), flags=re.MULTILINE)
+    for name, target, comment in found if "@package" not in path.read_text() else ():
+        yield name, target, f": {comment}" if comment else ""
 
 
 def _table(path: Path) -> list[str]:

@@ -9,8 +9,11 @@ import yaml
 CONFIG: dict[str, Any] = {
     "track": {"name_or_path": "paper"},
     "vehicle": {"speed": 10.0},
+    "action": {"names": ["forward", "left", "right"]},
     "sensor": {"rays": 7},
-    "reward": {"collision": -200.0, "gate": 50.0},
+    "observation": {"rays": {}},
+    "reward": {"collision": {"weight": -200.0}, "gate": {"weight": 50.0}},
+    "start": {"anywhere": False},
     "env": {"num_envs": 8},
     "network": {"hidden_sizes": [16, 16, 8]},
     "loss": {"gamma": 0.95, "double_dqn": False},

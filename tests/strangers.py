@@ -9,12 +9,12 @@ from pathlib import Path
 import yaml
 
 from carrl.cli.main import main
-from carrl.run.build import build_network
+from carrl.run.build import build_network, build_world
 from carrl.run.checkpoint import save_checkpoint
 from carrl.run.files import CONFIG, checkpoint_path
 from tests.configs import compose
 
-READ = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
+READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")
 
 
 class Payload:
@@ -38,7 +38,7 @@ def proves_harmful(marker: Path) -> bool:
 @cache
 def _untrained():
     config = {key: value for key, value in compose("experiment=smoke").items() if key in READ}
-    return config, build_network(config).state_dict()
+    return config, build_network(config, build_world(config)).state_dict()
 
 
 def make_run(folder: Path, **nodes) -> Path:

@@ -54,7 +54,11 @@ def test_the_default_is_table_i_of_the_paper():
     exploration = config["exploration"]
     assert [exploration[key] for key in ("epsilon_max", "epsilon_min", "decay_rate")] == [0.99, 0.01, 1e-4]
     reward = config["reward"]
-    assert [reward[key] for key in ("collision", "proximity", "gate", "proximity_threshold")] == [-200, -20, 50, 0.1]
+    assert [reward[term]["weight"] for term in ("collision", "proximity", "gate")] == [-200, -20, 50]
+    assert reward["proximity"]["threshold"] == 0.1
+    assert (reward["steering"]["turn"], reward["steering"]["switch"]) == (0, 0)
+    assert config["action"]["settings"] == {"steer": [0.0, 1.0, -1.0]}
+    assert list(config["observation"]) == ["rays"]
     assert config["trainer"]["episodes"] == 3000
     assert config == compose("experiment=paper")
 

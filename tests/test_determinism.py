@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 RUN = (
     *("experiment=smoke", "compile=false", "seed=3", "threads=1", "trainer.frames=320", "evaluation.interval=160"),
-    *("replay_buffer.batch_size=16", "sensor.noise=0.1", "env.random_start=true", "hydra.run.dir=run"),
+    *("replay_buffer.batch_size=16", "sensor.noise=0.1", "start.anywhere=true", "hydra.run.dir=run"),
 )
 
 

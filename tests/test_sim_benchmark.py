@@ -5,6 +5,7 @@ import importlib.util
 import json
 import math
 import stat
+from dataclasses import fields
 
 import pytest
 import torch
@@ -14,8 +15,9 @@ from benchmarks.child import BenchError
 from benchmarks.sim_cells import Cell, Course, drive_course, drive_for
 from benchmarks.sim_drives import CONTESTANTS, Contestant, LeftOutError, put_back, random_stations
 from benchmarks.sim_tables import Row
+from carrl.env.action import steer3
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
 
@@ -52,8 +54,8 @@ def test_ratios_are_of_medians_and_their_range_is_by_round():
 
 
 def test_only_cars_that_collided_go_back_whatever_the_state_holds():
-    shapes = [(3, 3) if field == "pose" else (3,) for field in State._fields]
-    start, now = (State(*(torch.full(shape, value) for shape in shapes)) for value in (1, 2))
+    shapes = [(3, 3) if field.name == "state" else (3,) for field in fields(CarState)]
+    start, now = (CarState(*(torch.full(shape, value) for shape in shapes)) for value in (1, 2))
     after = put_back(torch.tensor([False, True, False]), start, now)
     assert after.pose[:, 0].tolist() == after.next_gate.tolist() == [2, 1, 2]
     assert put_back(torch.zeros(3, dtype=torch.bool), start, now) is now
@@ -103,10 +105,10 @@ def test_the_car_in_vmas_moves_and_sees_as_ours_does():
     start = simulator.start(random_stations(track, 6))
     env = make_road(track.walls, start.pose, vehicle, sensor)
     action, turn = torch.tensor([0, 1, 2, 0, 1, 2]), torch.tensor([[0.0], [1.0], [-1.0]] * 2)
-    outcome = simulator.step(start, action)
+    outcome = simulator.step(start, steer3().controls(action))
     (observation,), (reward,), done, _ = env.step([turn])
     assert not outcome.collided.any() | done.any()
-    torch.testing.assert_close(env.agents[0].state.pos, outcome.state.pose[:, :2], atol=1e-4, rtol=0)
+    torch.testing.assert_close(env.agents[0].state.pos, outcome.cars.pose[:, :2], atol=1e-4, rtol=0)
     torch.testing.assert_close(observation, outcome.ranges / sensor.max_range, atol=1e-4, rtol=0)
     assert reward.tolist() == [0.0] * 6
 

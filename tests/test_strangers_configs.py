@@ -94,25 +94,39 @@ def test_a_small_config_that_stands_for_a_huge_one_is_refused_at_once(tmp_path, 
         ("network", "generator", 5, "network has no key 'generator'; make_q_network takes hidden_sizes"),
         ("vehicle", "speed", 1e-12, "vehicle.speed is 1e-12; it must lie between 1e-09 and 1e+09"),
         ("vehicle", "speed", 1e-6, "more than can be kept"),
-        ("reward", "gate", float("nan"), "reward.gate is nan; it must be a finite number"),
+        ("reward.gate", "weight", float("nan"), "reward.gate.weight is nan; it must be a finite number"),
         ("track", "gate_spacing", float("inf"), "track.gate_spacing is inf; it must be a finite number"),
         ("track", "name_or_path", "/dev/zero", "this is not a regular file"),
         ("track", "name_or_path", "/", "this is a folder"),
         ("track", "name_or_path", "\x1b[2Jnowhere", "no file of this path"),
-        ("env", "observe_action", [], "env.observe_action is []; it must be true or false"),
+        ("observation", "rays", [], "observation.rays._target_ is None; it must be carrl.env.observation.Rays or"),
+        ("reward.proximity", "threshold", [], "reward.proximity.threshold is []; it must be of type float"),
+        ("reward.gate", "wight", 5.0, "reward.gate has no key 'wight'; Gate takes weight"),
+        ("reward", "\x1b[2J", {}, "reward has a term called '\\x1b[2J'; a term's name is made of letters"),
+        ("reward", 5, {}, "reward has a term called 5; a term's name is made of letters"),
+        ("action", "names", 3, "action.names is 3; it must be of type"),
+        ("action", "names", [], "action.names is []; it must name at least one action, none twice"),
+        ("action", "settings", 3, "action.settings is 3; it must be of type"),
+        ("action.settings", "steer", 0.5, "action.settings is {'steer': 0.5}; it must be of type"),
+        ("action.settings", "steer", [0, 2, 1], "action.settings.steer is [0, 2, 1]; it must have a number within"),
+        ("action.settings", "steer", [0, 1], "action.settings.steer is [0, 1]; it must have a number within"),
+        ("action.settings", "throttle", [0, 1, 1], "action sets steer, throttle; the vehicle Vehicle is controlled by"),
     ],
 )
 def test_a_config_with_a_value_that_cannot_be_is_refused(tmp_path, capsys, group, key, value, words):
     run = make_run(tmp_path / "run")
     config = yaml.safe_load((run / CONFIG).read_text())
-    config[group][key] = value
+    node = config
+    for name in group.split("."):
+        node = node[name]
+    node[key] = value
     (run / CONFIG).write_text(yaml.safe_dump(config))
     assert words in refused(capsys, "evaluate", run)
 
 
 @pytest.mark.parametrize("node", [None, [], 5, "x", {}, {"_target_": "carrl.sim.track.Track.load"}])
 def test_a_config_whose_node_is_no_node_is_refused(tmp_path, capsys, node):
-    for group in ("track", "vehicle", "sensor", "reward", "network"):
+    for group in ("track", "vehicle", "action", "sensor", "observation", "reward", "network"):
         assert group in refused(capsys, "evaluate", make_run(tmp_path / f"{group}", **{group: node}))
 
 
@@ -127,7 +141,7 @@ def test_a_config_whose_seed_is_none_is_refused(tmp_path, capsys, seed):
         "trainer.seeds=[0..99999999999]",
         "replay_buffer.capacity=1000000000",
         "env.num_envs=10000000",
-        "reward.gate=nan",
+        "reward.gate.weight=nan",
         "env.max_steps=99999999999999999999",
         "collector.steps_per_batch=1000000",
         "exploration.decay_rate=inf",

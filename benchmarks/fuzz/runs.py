@@ -28,7 +28,7 @@ from carrl.run.report.findings import find
 from carrl.run.report.reading import DAMAGED
 from carrl.run.report.text import report_text
 
-_READ = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
+_READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")
 
 
 class RunParser(Parser):
@@ -64,8 +64,7 @@ class RunConfig(RunParser):
     def feed(self) -> None:
         """Builds what an evaluation needs."""
         config = load_config(self.folder)
-        build_world(config)
-        build_network(config)
+        build_network(config, build_world(config))
         checked_seed(config["seed"])
 
 
@@ -86,7 +85,7 @@ class Checkpoint(RunParser):
     @cached_property
     def weights(self) -> dict[str, torch.Tensor]:
         """Of a network that fits the configuration."""
-        return dict(build_network(self.configs[0]).state_dict())
+        return dict(build_network(self.configs[0], build_world(self.configs[0])).state_dict())
 
     def make(self, draw: Random) -> None:
         """A checkpoint with values, tensors or bytes changed."""
@@ -132,7 +131,7 @@ class Checkpoint(RunParser):
     def feed(self) -> None:
         """Loads the network into a policy."""
         try:
-            load_greedy_policy(self.folder, "best", self.configs[0])
+            load_greedy_policy(self.folder, "best", self.configs[0], build_world(self.configs[0]))
         finally:
             if (self.folder / "harmed").exists():
                 (self.folder / "harmed").rmdir()

@@ -14,7 +14,6 @@ from torchrl.modules import QValueActor
 
 from carrl.agent.network import Power
 from carrl.agent.stack import stack_in_place
-from carrl.env.observation import observe
 
 
 class GreedyPolicy(TensorDictModuleBase):
@@ -26,20 +25,18 @@ class GreedyPolicy(TensorDictModuleBase):
 
     Args:
         networks: one for each agent, all of one shape.
-        observe_action: whether they read the last action, too.
     """
 
     in_keys = ["observation"]  # noqa: RUF012 (TensorDict's protocol)
     out_keys = ["action_value", "chosen_action_value", "action"]  # noqa: RUF012
 
-    def __init__(self, networks: Sequence[QValueActor], observe_action: bool = False) -> None:
+    def __init__(self, networks: Sequence[QValueActor]) -> None:
         super().__init__()
         layers = [network.module[0].module for network in networks]
         parameters = [dict(each.named_parameters()) | dict(each.named_buffers()) for each in layers]
         self._stacked = {name: stack_in_place([of_one[name] for of_one in parameters]) for name in parameters[0]}
         self._layers = layers[:1]  # in a list, which hides it from torch: the collector would copy its parameters
         self._is_layered = isinstance(layers[0], nn.Sequential) and all(map(_is_simple, layers[0]))
-        self._observe_action = observe_action
         self.agents = len(networks)
 
     @property
@@ -71,9 +68,9 @@ class GreedyPolicy(TensorDictModuleBase):
                 values = layer(values)
         return values
 
-    def actions(self, readings: Tensor, last_action: Tensor) -> Tensor:
-        """The actions of the highest value, [B], int64: readings [B, R] in 0..1, right to left; last actions [B]."""
-        return self.action_values(observe(readings, last_action, self._observe_action)).argmax(dim=-1)
+    def actions(self, observation: Tensor) -> Tensor:
+        """The actions of the highest value, [B], int64: observations [B, R] as the environment gives them."""
+        return self.action_values(observation).argmax(dim=-1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the actions and their values."""

@@ -13,7 +13,6 @@ from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
 from carrl.run.build import build_world
 from carrl.run.files import load_config
-from carrl.sim.vehicle import Action
 
 if TYPE_CHECKING:
     import pygame
@@ -65,7 +64,7 @@ class Game:
         fps: time steps a second.
 
     Raises:
-        ConfigError: there is no display, or no pygame.
+        ConfigError: there is no display, or no pygame, or the car has other actions than forward, left and right.
     """
 
     def __init__(self, env: GymTrackEnv, fps: float) -> None:
@@ -76,8 +75,9 @@ class Game:
         self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}")
         self._env, self._fps = env, fps
         self._attempts: list[Attempt] = []
-        self._held: list[Action] = []
-        self._tapped: Action | None = None
+        self._held: list[int] = []
+        self._tapped: int | None = None
+        self._straight_on, self._left, self._right = (_action_named(env, name) for name in ("forward", "left", "right"))
         self._runs, self._shows_help, self._paused = True, True, False
         env.reset()
 
@@ -100,11 +100,11 @@ class Game:
         import pygame
 
         steering = {
-            pygame.K_UP: Action.FORWARD,
-            pygame.K_LEFT: Action.LEFT,
-            pygame.K_a: Action.LEFT,
-            pygame.K_RIGHT: Action.RIGHT,
-            pygame.K_d: Action.RIGHT,
+            pygame.K_UP: self._straight_on,
+            pygame.K_LEFT: self._left,
+            pygame.K_a: self._left,
+            pygame.K_RIGHT: self._right,
+            pygame.K_d: self._right,
         }
         if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key in (pygame.K_ESCAPE, pygame.K_q)):
             self._runs = False
@@ -127,7 +127,7 @@ class Game:
         """The key pressed last of those still held; a key that was only tapped counts for one step."""
         action = self._held[-1] if self._held else self._tapped
         self._tapped = None
-        return Action.FORWARD if action is None else action
+        return self._straight_on if action is None else action
 
     def _message(self) -> tuple[str, ...]:
         """What stands across the picture."""
@@ -142,6 +142,15 @@ class Game:
         if scene.step:
             laps = scene.gates_passed // gates
             self._attempts.append(Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided))
+
+
+def _action_named(env: GymTrackEnv, name: str) -> int:
+    names = list(getattr(env.task.action, "names", ()))
+    if name not in names:
+        raise ConfigError(
+            f"the run's car has no action '{name}' ({', '.join(names) or 'it is continuous'}); drive another"
+        )
+    return names.index(name)
 
 
 def main(argv: list[str]) -> int:
@@ -175,5 +184,7 @@ def _make_env(arguments: argparse.Namespace) -> GymTrackEnv:
         render_mode="rgb_array",
         vehicle=world.vehicle,
         sensor=world.sensor,
+        action=world.action,
+        observation=world.observation,
         reward=world.reward,
     )

@@ -12,10 +12,11 @@ import torch
 from carrl.cli.evaluation_table import print_evaluation
 from carrl.cli.parser import Parser
 from carrl.cli.road_warning import warn_of_roads
+from carrl.env.world import World
 from carrl.errors import ConfigError
 from carrl.printable import printable
 from carrl.run.build import build_world
-from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy
+from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy, rule_world
 from carrl.run.files import load_config, seed_folders
 from carrl.run.folder import load_greedy_policy
 from carrl.run.plan import checked_seed
@@ -44,11 +45,11 @@ def main(argv: list[str]) -> int:
     warn_of_roads(tracks, world)
     survey = Survey(world, tracks, arguments.starts)
     policies = [
-        _make_policy(arguments.policy, run, arguments.checkpoint or "best", config)
+        _make_policy(arguments.policy, run, arguments.checkpoint or "best", config, world)
         for run, config in zip(runs, configs, strict=True)
     ]
-    laps = [survey.drive(policy) for policy in policies]
-    rule = survey.drive(rule_policy) if arguments.policy != "rule" else None
+    laps = [survey.drive(policy, rule_world(world) if policy is rule_policy else world) for policy in policies]
+    rule = survey.drive(rule_policy, rule_world(world)) if arguments.policy != "rule" else None
     document = {
         "run": arguments.run,
         "policy": arguments.policy,
@@ -100,12 +101,12 @@ def _load_tracks(names: Sequence[str]) -> tuple[list[Track], dict[str, str]]:
     return tracks, refused
 
 
-def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:
+def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any], world: World) -> Policy:
     if name == "rule":
         return rule_policy
     if name == "random":
-        return random_policy(checked_seed(config["seed"]))
-    return load_greedy_policy(run, checkpoint, config)
+        return random_policy(checked_seed(config["seed"]), world.action)
+    return load_greedy_policy(run, checkpoint, config, world)
 
 
 def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_length: float) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 import sys
 from collections.abc import Sequence
 
+from carrl.env.world import World
 from carrl.printable import printable
-from carrl.run.build import World
 from carrl.sim.centreline import gap_of
 from carrl.sim.drivability import Car, unsuitable
 from carrl.sim.track import Track
@@ -12,7 +12,7 @@ from carrl.sim.track import Track
 
 def warn_of_roads(tracks: Sequence[Track], world: World) -> None:
     """Prints one line on standard error if any of the tracks does not suit the car, with what is wrong of the first."""
-    threshold = world.reward.proximity_threshold if world.reward.proximity else 0.0
+    threshold = world.reward.near_wall.threshold if world.reward.near_wall.weight else 0.0
     car = Car.of(world.vehicle, world.sensor, threshold)
     found = [(track, phrases) for track in tracks if (phrases := _phrases(track, car))]
     if not found:

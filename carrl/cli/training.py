@@ -14,10 +14,11 @@ from torchrl import logger as torchrl_logger
 from carrl.cli.road_warning import warn_of_roads
 from carrl.cli.signals import stopping_on_signals
 from carrl.config import build_node, is_whole_number
+from carrl.env.world import World
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.record.writer import LogWriter
 from carrl.run.agent_run import AgentRun
-from carrl.run.build import Learning, Pipeline, World, build_offline_pipeline, build_pipeline, learns_from_logs
+from carrl.run.build import Learning, Pipeline, build_offline_pipeline, build_pipeline, learns_from_logs
 from carrl.run.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
 from carrl.run.folder import RunFolder, check_tables
 from carrl.run.inputs import Inputs, check_inputs, checksums
@@ -262,6 +263,7 @@ def _draw_lap(world: World, run: AgentRun) -> None:
             best.ranges,
             world.sensor.angles.numpy(),
             best.actions,
+            action_names=world.action.names,
             body_radius=world.vehicle.body_radius,
             title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
             collided=best.collided,

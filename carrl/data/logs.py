@@ -15,25 +15,23 @@ from tensordict import TensorDictBase
 from torchrl.data import TensorDictReplayBuffer
 
 from carrl.data.replay_buffer import KEYS
-from carrl.env.observation import observation_size
+from carrl.env.action import ActionMap
+from carrl.env.world import World
 from carrl.errors import LogError
 from carrl.log import Log, fill
 from carrl.sim.sensor import Sensor
-from carrl.sim.vehicle import Action
 
 Numbers = NDArray[np.float64]
-ACTION_NAMES = [action.name.lower() for action in Action]
 
 
-def check_logs(paths: Sequence[Path], sensor: Sensor, observe_action: bool) -> int:
+def check_logs(paths: Sequence[Path], world: World) -> int:
     """How many transitions the logs hold in all, each seen as a car with these sensors would.
 
     Only the logs' indices, metadata and ends are read.
 
     Args:
         paths: of the logs.
-        sensor: whose readings the network is to understand.
-        observe_action: whether it reads the last action, too.
+        world: whose observations the network is to understand, and whose actions it chooses among.
 
     Raises:
         LogError: a log is missing or damaged, or was written by a car with other sensors or actions.
@@ -42,49 +40,50 @@ def check_logs(paths: Sequence[Path], sensor: Sensor, observe_action: bool) -> i
     for path in paths:
         with Log(path) as log:
             if log.transitions:
-                _check_width(log, sensor.rays, observe_action)
-            _check_sensor(log, sensor)
-            _check_actions(log)
+                _check_width(log, world)
+            _check_sensor(log, world.sensor)
+            _check_actions(log, world)
             total += log.transitions
     return total
 
 
-def fill_from_logs(buffer: TensorDictReplayBuffer, paths: Sequence[Path], agents: int) -> None:
+def fill_from_logs(buffer: TensorDictReplayBuffer, paths: Sequence[Path], agents: int, action: ActionMap) -> None:
     """Puts every transition of the logs into the memories of all agents, a message at a time.
 
     Raises:
         LogError: a log is damaged, or has an action that there is not.
     """
     for path in paths:
-        memories: Any = _Memories(buffer, agents, path)
+        memories: Any = _Memories(buffer, agents, path, action)
         fill(memories, path)
 
 
 class _Memories:
     """The way of a log's transitions into a buffer."""
 
-    def __init__(self, buffer: TensorDictReplayBuffer, agents: int, path: Path) -> None:
+    def __init__(self, buffer: TensorDictReplayBuffer, agents: int, path: Path, action: ActionMap) -> None:
         self._buffer, self._agents, self._path = buffer, agents, path
+        self._spec, self._names = action.spec, action.names
 
     def extend(self, transitions: TensorDictBase) -> None:
         """Stores transitions [T] once for each agent, [T, A]."""
         action = transitions["action"]
-        if not ((action >= 0) & (action < len(Action))).all():
+        if not self._spec.expand(action.shape).is_in(action):
             raise LogError(
                 f"log '{self._path}': has actions {action.min()}..{action.max()}; "
-                f"they must lie in 0..{len(Action) - 1}, {', '.join(ACTION_NAMES)}"
+                f"they must lie in 0..{len(self._names) - 1}, {', '.join(self._names)}"
             )
         self._buffer.extend(transitions.select(*KEYS)[:, None].expand(len(transitions), self._agents))
 
 
-def _check_width(log: Log, rays: int, observe_action: bool) -> None:
+def _check_width(log: Log, world: World) -> None:
     (found,) = log.row_shapes["observation"]
-    read = observation_size(rays, observe_action)
-    if found != read:
+    if found != world.observation_size:
+        parts = world.observation.parts(world.sensor, world.action)
         raise LogError(
-            f"log '{log.path}': its observations have {found} values, the network reads {read} "
-            f"(sensor.rays={rays}, env.observe_action={str(observe_action).lower()}); "
-            "set both as in the run that wrote it"
+            f"log '{log.path}': its observations have {found} values, the network reads {world.observation_size} "
+            f"({', '.join(f'{part.width} of {part.name}' for part in parts)}); "
+            "set sensor.rays and observation as in the run that wrote it"
         )
 
 
@@ -104,11 +103,12 @@ def _check_sensor(log: Log, sensor: Sensor) -> None:
         )
 
 
-def _check_actions(log: Log) -> None:
-    names = _entry(log, "action_names", ACTION_NAMES)
-    if names != ACTION_NAMES:
+def _check_actions(log: Log, world: World) -> None:
+    own = list(world.action.names)
+    names = _entry(log, "action_names", own)
+    if names != own:
         raise LogError(
-            f"log '{log.path}': its actions are {names!r:.100}, this car's are {ACTION_NAMES}; "
+            f"log '{log.path}': its actions are {names!r:.100}, this car's are {own}; "
             "give the log of a car with the same"
         )
 

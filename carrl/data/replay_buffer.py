@@ -8,12 +8,11 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter, TensorSpec
 
 from carrl.data.returns import STEPS
 from carrl.data.sampler import AgentSampler, PrioritizedAgentSampler
 from carrl.errors import ConfigError
-from carrl.sim.vehicle import Action
 
 KEYS = (
     "observation",
@@ -96,7 +95,7 @@ def contents_of(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
     return {"fields": fields, "cursor": buffer.writer._cursor}
 
 
-def put_back(buffer: TensorDictReplayBuffer, contents: dict[str, Any]) -> None:
+def put_back(buffer: TensorDictReplayBuffer, contents: dict[str, Any], action_spec: TensorSpec) -> None:
     """Fills an empty buffer with the contents of another one of the same capacity.
 
     Raises:
@@ -109,7 +108,7 @@ def put_back(buffer: TensorDictReplayBuffer, contents: dict[str, Any]) -> None:
     if items:
         transitions = TensorDict(fields, batch_size=[items, buffer.sampler.agents]).unflatten_keys("/")
         action = transitions["action"]
-        if not ((action >= 0) & (action < len(Action))).all():
+        if not action_spec.expand(action.shape).is_in(action):
             raise ValueError("there are actions that no car has")
         buffer.extend(transitions.select(*KEYS, *([STEPS] if STEPS in fields else [])))
     buffer.writer._cursor = cursor

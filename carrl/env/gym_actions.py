@@ -1,61 +1,90 @@
-"""What the Gymnasium environments take for actions: whole numbers that mean one of the three, and nothing else.
+"""What the Gymnasium environments take for actions: those of the action map, and nothing that only looks like one.
 
-Shapes: `N` cars.
+Shapes: `N` cars, `C` controls.
 """
 
 from typing import Any
 
+import gymnasium
 import numpy as np
+import torch
 from gymnasium.error import InvalidAction
+from torch import Tensor
 
+from carrl.env.action import ActionMap
 from carrl.errors import ConfigError, shown
-from carrl.sim.vehicle import Action
-
-_ACTIONS = "0 forward, 1 left or 2 right"
 
 
 class ActionError(ConfigError, InvalidAction):
     """Actions that there are none of: CarRL's error and Gymnasium's in one."""
 
 
-def action_number(action: Any) -> int:
-    """One action as an int: of Python, NumPy or torch, also an array or tensor without dimensions, but no bool.
+def action_space(actions: ActionMap) -> gymnasium.Space[Any]:
+    """Of one car: discrete, or a number for each control."""
+    if actions.names:
+        return gymnasium.spaces.Discrete(len(actions.names))
+    return gymnasium.spaces.Box(-1.0, 1.0, (len(actions.control_names),), np.float32)
+
+
+def one_action(action: Any, actions: ActionMap) -> Tensor:
+    """The action of one car, [1] or [1, C]: of Python, NumPy or torch, but no bool.
 
     Raises:
-        ActionError: it is something else.
+        ActionError: there is no such action.
     """
-    value = action if type(action) in (int, np.int64) else _scalar(action)
-    if not 0 <= value < len(Action):
-        raise ActionError(f"action is {shown(action)}; it must be the whole number {_ACTIONS}")
-    return int(value)
+    if type(action) in (int, np.int64):  # the usual case, quickly
+        given = np.array([action])
+    else:
+        try:
+            given = np.asarray(action)[None]
+        except (TypeError, ValueError):
+            given = np.array(None)
+    if not _is_action(given, (1,), actions).all():
+        raise ActionError(f"action is {shown(action)}; it must be {_wanted(actions)}")
+    return _as_tensor(given, actions)
 
 
-def action_array(actions: Any, cars: int) -> np.ndarray:
-    """The actions of N cars in an array of their own, [N], int64.
+def many_actions(given: Any, cars: int, actions: ActionMap) -> Tensor:
+    """A copy of the actions of N cars, [N] or [N, C].
 
     Raises:
-        ActionError: they are of another shape or no whole numbers, or there is no such action.
+        ActionError: they are of another shape or type, or there is no such action.
     """
     try:
-        given = np.asarray(actions)
+        array = np.asarray(given)
     except (TypeError, ValueError) as error:  # such as a tensor on another device, or rows of several lengths
-        raise ActionError(f"actions is {shown(actions)}, no array; it must be {_wanted(cars)}") from error
-    if given.dtype.kind not in "iu" or given.shape != (cars,):
-        raise ActionError(f"actions is an array {list(given.shape)} of {given.dtype}; it must be {_wanted(cars)}")
-    if given.min() < 0 or given.max() >= len(Action):
-        car = ((given < 0) | (given >= len(Action))).argmax()
-        raise ActionError(f"actions[{car}] is {given[car]}; actions must be {_wanted(cars)}")
-    return given.astype(np.int64)
+        raise ActionError(f"actions is {shown(given)}, no array; it must be {_all_wanted(cars, actions)}") from error
+    are_actions = _is_action(array, (cars,), actions)
+    if not are_actions.shape:
+        raise ActionError(
+            f"actions is an array {list(array.shape)} of {array.dtype}; it must be {_all_wanted(cars, actions)}"
+        )
+    if not are_actions.all():
+        car = are_actions.argmin()
+        raise ActionError(f"actions[{car}] is {array[car]}; actions must be {_all_wanted(cars, actions)}")
+    return _as_tensor(array, actions)
 
 
-def _scalar(action: Any) -> int:
-    """A whole number of another type; -1 if it is none."""
-    try:
-        given = np.asarray(action)
-    except (TypeError, ValueError):
-        return -1
-    return int(given) if given.dtype.kind in "iu" and given.ndim == 0 else -1
+def _is_action(given: np.ndarray, cars: tuple[int], actions: ActionMap) -> np.ndarray:
+    """Which of the cars have an action, [N]; a single False where they are of another shape or type."""
+    if actions.names:
+        fits = given.dtype.kind in "iu" and given.shape == cars
+        return (given >= 0) & (given < len(actions.names)) if fits else np.array(False)
+    fits = given.dtype.kind in "iuf" and given.shape == (*cars, len(actions.control_names))
+    return np.isfinite(given).all(axis=-1) if fits else np.array(False)
 
 
-def _wanted(cars: int) -> str:
-    return f"{cars} numbers in an array [{cars}], each the whole number {_ACTIONS}"
+def _as_tensor(given: np.ndarray, actions: ActionMap) -> Tensor:
+    return torch.from_numpy(given.astype(np.int64 if actions.names else np.float32))
+
+
+def _wanted(actions: ActionMap) -> str:
+    if not actions.names:
+        return f"a finite number for each of {', '.join(actions.control_names)}, -1 to 1"
+    *others, last = (f"{number} {name}" for number, name in enumerate(actions.names))
+    return f"the whole number {', '.join(others)} or {last}" if others else f"the whole number {last}"
+
+
+def _all_wanted(cars: int, actions: ActionMap) -> str:
+    shape = [cars] if actions.names else [cars, len(actions.control_names)]
+    return f"{cars} numbers in an array {shape}, each {_wanted(actions)}"

@@ -13,23 +13,22 @@ import numpy as np
 import torch
 
 from carrl.env.checks import seed_number
-from carrl.env.gym_actions import action_number
-from carrl.env.task import Situation, Task, Tracks
+from carrl.env.gym_actions import action_space, one_action
+from carrl.env.task import UNLIMITED, Begun, Task, Tracks, make_task
 from carrl.errors import ConfigError
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from carrl.env.rendering import CarLook, FollowPicture, Scene, Window
 
 OPTIONS = tuple(
     name
-    for name, parameter in inspect.signature(Task).parameters.items()
+    for name, parameter in inspect.signature(make_task).parameters.items()
     if parameter.kind is parameter.KEYWORD_ONLY and name != "max_steps"
 )
 """Names of the options that an environment hands on to its task."""
 RENDER_MODES = ["human", "rgb_array"]
-_NEVER = 2**62  # As `max_steps`: Gymnasium's own time limit truncates.
 _TRAIL_STEPS = 150
 
 
@@ -49,10 +48,10 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     is both terminated and truncated. After a collision no step is taken until `reset`; a car that was truncated may
     drive on, as with any environment in Gymnasium's time limit.
 
-    Observations are distances along each ray / range, [R], float32, in [0, 1], right to left; with `observe_action`
-    [R + 3]. Actions are 0 forward, 1 left, 2 right. `info` holds numbers alone, at a reset and after a step the same:
-    `pose` (x m, y m, heading rad), `gates_passed`, `track` (the index into `tracks` of the one it drives on), and the
-    reward's terms by name, zero after a reset.
+    Observations are distances along each ray / range, [R], float32, in [0, 1], right to left, unless `observation`
+    says otherwise. Actions are 0 forward, 1 left, 2 right, unless `action` says otherwise. `info` holds numbers alone,
+    at a reset and after a step the same: `pose` (x m, y m, heading rad), `gates_passed`, `track` (the index into
+    `tracks` of the one it drives on), and the reward's terms by name, zero after a reset.
 
     Args:
         track: a track, or what `Track.load` takes, or a list of such.
@@ -72,13 +71,13 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         """Builds the simulator and declares the spaces."""
         check_options(options)
         check_render_mode(render_mode)
-        self.task = Task(track, max_steps=_NEVER, **options)
+        self.task = make_task(track, max_steps=UNLIMITED, **options)  # Gymnasium's own time limit truncates
         self.metadata = self.metadata | {"render_fps": 1 / self.task.simulator.vehicle.time_step}
         self.render_mode = render_mode
-        self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (self.task.observation_size,), np.float32)
-        self.action_space = gymnasium.spaces.Discrete(len(Action))
+        self.observation_space = observation_space(self.task)
+        self.action_space = action_space(self.task.action)
         self._start = self.task.start() if self.task.starts_alike else None
-        self._now: Situation | None = None
+        self._now: Begun | None = None
         self._return, self._collided = 0.0, False
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_STEPS)
         self._picture: FollowPicture | None = None
@@ -120,14 +119,14 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             raise gymnasium.error.ResetNeeded("call reset before the first step")
         if self._collided:
             raise gymnasium.error.ResetNeeded("the car has hit a wall, which ended its episode; reset it")
-        after = self.task.step(before, torch.tensor([action_number(action)]))
-        self._now = now = after.situation
+        after = self.task.step(before.state, one_action(action, self.task.action))
+        self._now = now = Begun(after.state, after.observation)
         terms = after.reward_terms
         info = self._info(now, terms.tolist()[0])
         reward, collided = float(terms.sum().item()), bool(after.terminated.item())
         self._return, self._collided = self._return + reward, collided
         if self.render_mode is not None:
-            self._trail.append(before.state.pose.numpy()[0, :2])
+            self._trail.append(before.state.cars.pose.numpy()[0, :2])
             if self.render_mode == "human":
                 self.render()
         return now.observation.numpy()[0].copy(), reward, collided, False, info
@@ -138,18 +137,19 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
 
         if self._now is None:
             raise gymnasium.error.ResetNeeded("call reset before the first picture")
-        state, step, last_action, observation = self._now
+        state, cars = self._now.state, self._now.state.cars
         return Scene(
-            pose=state.pose.double().numpy()[0],
-            readings=observation.double().numpy()[0, : self.task.simulator.sensor.rays],
-            next_gate=int(state.next_gate),
-            gates_passed=int(state.gates_passed),
-            step=int(step),
-            last_action=int(last_action),
+            pose=cars.pose.double().numpy()[0],
+            readings=self._readings(),
+            next_gate=int(cars.next_gate),
+            gates_passed=int(cars.gates_passed),
+            step=int(state.step),
+            steer=self._steer(state.last_action),
+            action=self._action_name(state.last_action),
             episode_return=self._return,
             collided=self._collided,
             trail=list(self._trail),
-            track=int(state.track),
+            track=int(cars.track),
         )
 
     def render(self) -> np.ndarray | None:
@@ -176,10 +176,44 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             self._window.close()
         self._window = None
 
-    def _info(self, now: Situation, terms: list[float]) -> dict[str, Any]:
-        pose, _, gates_passed, track = now.state
-        place = {"pose": pose.numpy()[0].copy(), "gates_passed": gates_passed.item(), "track": track.item()}
+    def _readings(self) -> np.ndarray:
+        """What the rays read, [R], in 0..1; the true distances where the driver is not told them."""
+        assert self._now is not None
+        begin = 0
+        for part in self.task.observation_parts:
+            if part.name == "rays":
+                return self._now.observation.double().numpy()[0, begin : begin + part.width]
+            begin += part.width
+        ranges = self.task.simulator.sense(self._now.state.cars)
+        return ranges.double().numpy()[0] / self.task.simulator.sensor.max_range
+
+    def _steer(self, action: torch.Tensor) -> float:
+        """How far the wheel is turned, -1 to 1; 0 for a car that is not steered."""
+        names = self.task.simulator.vehicle.control_names
+        return float(self.task.action.controls(action)[0, names.index("steer")]) if "steer" in names else 0.0
+
+    def _action_name(self, action: torch.Tensor) -> str:
+        if self.task.action.names:
+            return self.task.action.names[int(action)]
+        return " ".join(f"{value:+.2f}" for value in action[0].tolist())
+
+    def _info(self, now: Begun, terms: list[float]) -> dict[str, Any]:
+        cars = now.state.cars
+        place = {
+            "pose": cars.pose.numpy()[0].copy(),
+            "gates_passed": cars.gates_passed.item(),
+            "track": cars.track.item(),
+        }
         return place | dict(zip(self.task.reward.term_names, terms, strict=True))
+
+
+def observation_space(task: Task) -> gymnasium.spaces.Box:
+    """Of one car."""
+    low, high = (
+        [bound for part in task.observation_parts for bound in [getattr(part, name)] * part.width]
+        for name in ("low", "high")
+    )
+    return gymnasium.spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
 
 
 def check_options(options: Mapping[str, Any], others: Sequence[str] = ("max_episode_steps",)) -> None:
@@ -221,7 +255,7 @@ def _look(task: Task) -> "CarLook":
     simulator = task.simulator
     return CarLook(
         body_radius=simulator.vehicle.body_radius,
-        speed=simulator.vehicle.speed,
+        speed=simulator.vehicle.step_length / simulator.vehicle.time_step,
         time_step=simulator.vehicle.time_step,
         sensor_angles=simulator.sensor_angles.double().numpy(),
         sensor_range=simulator.sensor.max_range,

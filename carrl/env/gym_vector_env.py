@@ -9,21 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
 from carrl.env.checks import seed_list, seed_number
-from carrl.env.gym_actions import action_array
-from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode
+from carrl.env.gym_actions import action_space, many_actions
+from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode, observation_space
 from carrl.env.random_streams import CarStreams
-from carrl.env.reward import SHAPING, TERMS
-from carrl.env.task import Situation, Task, Tracks, Transition
+from carrl.env.task import Begun, StepResult, Task, Tracks, make_task
 from carrl.errors import ConfigError
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from carrl.env.rendering import FleetPicture, Window
@@ -76,17 +74,17 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Builds the simulator and declares the spaces."""
         check_options(options, ("num_envs", "max_episode_steps", "autoreset_mode"))
         check_render_mode(render_mode)
-        self.task = Task(track, num_envs, max_steps=max_episode_steps, **options)
+        self.task = make_task(track, num_envs, max_steps=max_episode_steps, **options)
         self.task.streams = self._streams = CarStreams(num_envs)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, _autoreset_mode(autoreset_mode)
         fps = 1 / self.task.simulator.vehicle.time_step
         self.metadata = self.metadata | {"render_fps": fps, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = Box(0.0, 1.0, (self.task.observation_size,), np.float32)
-        self.single_action_space = Discrete(len(Action))
+        self.single_observation_space = observation_space(self.task)
+        self.single_action_space = action_space(self.task.action)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._first_start = self.task.start() if self.task.starts_alike else None
-        self._now: Situation | None = None
+        self._now: Begun | None = None
         self._ended = np.zeros(num_envs, dtype=bool)
         self._picture: FleetPicture | None = None
         self._window: Window | None = None
@@ -120,7 +118,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self.render_mode == "human":
             self.render()
         terms = torch.zeros(self.num_envs, len(self.task.reward.term_names))
-        return now.observation.numpy().copy(), _infos(now, terms, wanted)
+        return now.observation.numpy().copy(), _infos(self.task, now, terms, wanted)
 
     def step(self, actions: np.ndarray) -> Step:
         """Drives every car one time step: actions [N] to observations, rewards, terminated, truncated and infos.
@@ -131,13 +129,13 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         if self._now is None:
             raise ResetNeeded("call reset before the first step")
-        taken = torch.from_numpy(action_array(actions, self.num_envs))
+        taken = many_actions(actions, self.num_envs, self.task.action)
         resetting = self._ended
         if resetting.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise ResetNeeded(f"car {resetting.argmax()} has ended its episode; reset it with a reset_mask")
             self._now = self._put(self._now, resetting)  # A car in a wall could not be driven on.
-        after = self.task.step(self._now, taken)
+        after = self.task.step(self._now.state, taken)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             outcome = self._end_in_same_step(after)
         else:
@@ -159,10 +157,10 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._picture = self._picture or _make_fleet_picture(self.task)
         from carrl.env.rendering import Window, pixels
 
-        shown = self._now.state.track.numpy() == 0
+        shown = self._now.state.cars.track.numpy() == 0
         cars = f"{shown.sum():,} of {self.num_envs:,} cars" if not shown.all() else f"{self.num_envs:,} cars"
         title = f"{self.tracks[0].name}: {cars}"
-        picture = self._picture.draw(self._now.state.pose.double().numpy()[shown], self._ended[shown], title)
+        picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
             return (pixels(picture),)
         self._window = self._window or Window(picture.get_size(), "CarRL")
@@ -175,41 +173,41 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._window.close()
         self._window = None
 
-    def _end_in_next_step(self, after: Transition, resetting: Bools) -> Step:
+    def _end_in_next_step(self, after: StepResult, resetting: Bools) -> Step:
         """What the step brought, but for the cars that it was to put back to the start."""
-        now, terms, terminated, _ = after
+        now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
         truncated = self._is_last_step(now)
         driven = ~resetting
         if resetting.any():
             assert self._now is not None
             keep, reset = torch.from_numpy(driven), torch.from_numpy(resetting)
-            now = now.replacing(reset, self._now.only(reset))
+            now = now.replacing(reset, self._now[reset])
             terms, terminated, truncated = terms * keep[:, None], terminated & keep, truncated & keep
         self._now = now
         ends = terminated.numpy(), truncated.numpy()
         self._ended = ends[0] | ends[1]
-        return now.observation.numpy().copy(), _rewards(terms), *ends, _infos(now, terms)
+        return now.observation.numpy().copy(), _rewards(terms), *ends, _infos(self.task, now, terms)
 
-    def _end_in_same_step(self, after: Transition) -> Step:
+    def _end_in_same_step(self, after: StepResult) -> Step:
         """What the step brought; cars whose episode ended are at the start again, their end is in the infos."""
-        now, terms, terminated, _ = after
+        now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
         ends = terminated.numpy(), self._is_last_step(now).numpy()
         ended = ends[0] | ends[1]
         rewards, finals = _rewards(terms), {}
         if ended.any():
-            finals = _finals(now, terms, ended)
+            finals = _finals(self.task, now, terms, ended)
             now, terms = self._put(now, ended), terms * torch.from_numpy(~ended)[:, None]
         self._now = now
-        return now.observation.numpy().copy(), rewards, *ends, _infos(now, terms) | finals
+        return now.observation.numpy().copy(), rewards, *ends, _infos(self.task, now, terms) | finals
 
-    def _is_last_step(self, now: Situation) -> Tensor:
+    def _is_last_step(self, now: Begun) -> Tensor:
         """Whether the time limit is reached, [N], bool."""
-        return now.step >= self.task.max_steps
+        return now.state.step >= self.task.max_steps
 
-    def _put(self, now: Situation | None, wanted: Bools) -> Situation:
+    def _put(self, now: Begun | None, wanted: Bools) -> Begun:
         """The wanted cars [N] at the start of new episodes."""
         cars, first = torch.from_numpy(wanted), self._first_start
-        start = first.only(cars) if first else self.task.start(cars)
+        start = first[cars] if first else self.task.start(cars)
         return start if now is None or wanted.all() else now.replacing(cars, start)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
@@ -240,24 +238,24 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
         raise ConfigError(f"autoreset_mode is {mode!r}; choose one of {names}") from error
 
 
-def _by_name(terms: Tensor) -> dict[str, np.ndarray]:
+def _by_name(task: Task, terms: Tensor) -> dict[str, np.ndarray]:
     """Terms of the reward [N, K], each on its own, [N], float64."""
-    return dict(zip((*TERMS, SHAPING), terms.double().numpy().T.copy(), strict=False))
+    return dict(zip(task.reward.term_names, terms.double().numpy().T.copy(), strict=True))
 
 
 def _rewards(terms: Tensor) -> np.ndarray:
     return terms.sum(dim=-1).double().numpy()
 
 
-def _infos(now: Situation, terms: Tensor, cars: Bools | None = None) -> dict[str, Any]:
+def _infos(task: Task, now: Begun, terms: Tensor, cars: Bools | None = None) -> dict[str, Any]:
     """Gymnasium's form of infos: beside each of the values [N, ...] which cars [N] have it, by default all.
 
     They are where the cars are, how far they came, and the reward's terms [N, K]; zero for the other cars.
     """
-    state = now.state
-    place = {name: getattr(state, name).numpy().copy() for name in ("pose", "gates_passed", "track")}
+    cars_now = now.state.cars
+    place = {name: getattr(cars_now, name).numpy().copy() for name in ("pose", "gates_passed", "track")}
     infos: dict[str, Any] = {}
-    for name, value in (place | _by_name(terms)).items():
+    for name, value in (place | _by_name(task, terms)).items():
         if cars is not None:
             value[~cars] = 0
         infos[name] = value
@@ -265,12 +263,12 @@ def _infos(now: Situation, terms: Tensor, cars: Bools | None = None) -> dict[str
     return infos
 
 
-def _finals(now: Situation, terms: Tensor, ended: Bools) -> dict[str, Any]:
+def _finals(task: Task, now: Begun, terms: Tensor, ended: Bools) -> dict[str, Any]:
     """The last views and infos of the cars whose episode ended, in Gymnasium's form."""
     views = np.full(len(ended), None, dtype=object)
     for car in ended.nonzero()[0]:
         views[car] = now.observation[car].numpy().copy()
-    last_info = _infos(now, terms, ended)
+    last_info = _infos(task, now, terms, ended)
     return {"final_obs": views, "_final_obs": ended.copy(), "final_info": last_info, "_final_info": ended.copy()}
 
 

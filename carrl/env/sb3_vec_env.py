@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from carrl.env.gym_actions import action_space
+from carrl.env.gym_env import observation_space
 from carrl.env.task import Tracks
 from carrl.env.track_env import TrackEnv
-from carrl.sim.vehicle import Action
 
 
 class TrackVecEnv(VecEnv):
     """`TrackEnv` with N cars behind Stable-Baselines3's interface; see `carrl.sb3.make_vec_env`.
 
-    Observations are [N, R], float32, in [0, 1], with `observe_action` [N, R + 3]; actions [N], int64; rewards [N],
-    float32.
+    Observations are [N, R], float32, in [0, 1], actions [N], int64, unless `observation` and `action` say otherwise;
+    rewards [N], float32.
     """
 
     def __init__(self, track: Tracks, num_envs: int, *, seed: int | None = None, **options: Any) -> None:
         """Puts all cars at the start."""
         self._env = TrackEnv(track, num_envs, seed=seed, **options)
-        space = spaces.Box(0.0, 1.0, (self._env.task.observation_size,), np.float32)
-        super().__init__(self._env.task.cars, space, spaces.Discrete(len(Action)))
+        task = self._env.task
+        super().__init__(task.cars, observation_space(task), action_space(task.action))
         self._now = self._env.reset()
 
     def reset(self) -> np.ndarray:

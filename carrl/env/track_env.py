@@ -11,14 +11,18 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from carrl.env.action import ActionMap
 from carrl.env.checks import seed_list, seed_number
+from carrl.env.episode import EpisodeState
+from carrl.env.observation import Observation
 from carrl.env.reward import Reward
-from carrl.env.task import Situation, Task, Tracks
+from carrl.env.start import Start
+from carrl.env.task import Begun, StepResult, Tracks, make_task
 from carrl.errors import ConfigError, shown
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, VehicleModel
+from carrl.sim.vehicle import POSE, VehicleModel
 
 
 class TrackEnv(EnvBase):
@@ -26,15 +30,16 @@ class TrackEnv(EnvBase):
 
     | key | shape, type | meaning |
     |---|---|---|
-    | `observation` | [N, R] float32 | distance along each ray / range, 0..1, right to left; see `observe_action` |
-    | `action` | [N] int64 | 0 forward, 1 left, 2 right |
+    | `observation` | [N, O] float32 | by default distance along each ray / range, 0..1, right to left |
+    | `action` | [N] int64 | by default 0 forward, 1 left, 2 right |
     | `reward` | [N, 1] float32 | sum of `reward_terms` |
-    | `reward_terms` | [N, 4] float32 | collision, proximity, gate, steering, shaping if any; zero after a reset |
+    | `reward_terms` | [N, K] float32 | by default collision, proximity, gate, steering; zero after a reset |
     | `terminated` | [N, 1] bool | the car touched a wall |
     | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
+    | `state` | [N, S] float32 | named by `state_names`, the pose first; of vehicles whose state has more than a pose |
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
-    | `last_action` | [N] int64 | of the step before; forward after a reset |
+    | `last_action` | as `action` | of the step before; the first action after a reset |
     | `track` | [N] int64 | index into `tracks` of what the car drives on |
 
     An action is a whole number of any integer type, and each car has one. A car whose episode has ended is to be reset,
@@ -54,15 +59,11 @@ class TrackEnv(EnvBase):
             after the other, each of whose cars drive as they would alone.
         vehicle: the car.
         sensor: its rays, and how far they err.
+        action: what an agent chooses among.
+        observation: what it is told.
         reward: what a step earns; it counts true distances, whatever the sensor reads.
+        start: where episodes start.
         max_steps: length at which an episode is truncated, steps.
-        random_start: start anywhere along the centreline instead of on the start line.
-        start_offset: how far beside the centreline an episode may start, as a share of the room there, 0..1.
-        heading_jitter: how far an episode's first heading may deviate from the driving direction, degrees.
-        sample_track: draw each car's track anew for each episode.
-        mirrored: drive every other episode, by chance, on the mirror image of the track.
-        reversed: drive every other episode, by chance, the other way round.
-        observe_action: append the last action to the observation, one-hot: [N, R + 3].
 
     Raises:
         TrackError: a track cannot be loaded.
@@ -78,39 +79,32 @@ class TrackEnv(EnvBase):
         *,
         vehicle: VehicleModel | None = None,
         sensor: Sensor | None = None,
+        action: ActionMap | None = None,
+        observation: Observation | None = None,
         reward: Reward | None = None,
+        start: Start | None = None,
         max_steps: int = 1000,
-        random_start: bool = False,
-        start_offset: float = 0.0,
-        heading_jitter: float = 0.0,
-        sample_track: bool = False,
-        mirrored: bool = False,
-        reversed: bool = False,
-        observe_action: bool = False,
     ) -> None:
         """Builds the simulator and declares the specs."""
         seeds = seed_list(seed)
         if not seeds:
             raise ConfigError("seed names no seed; give a whole number, or a list of them")
-        task = Task(
+        task = make_task(
             track,
             num_envs,
             seeds,
             device,
             vehicle=vehicle,
             sensor=sensor,
+            action=action,
+            observation=observation,
             reward=reward,
+            start=start,
             max_steps=max_steps,
-            random_start=random_start,
-            start_offset=start_offset,
-            heading_jitter=heading_jitter,
-            sample_track=sample_track,
-            mirrored=mirrored,
-            reversed=reversed,
-            observe_action=observe_action,
         )
         super().__init__(device=device, batch_size=[task.cars])
         self.task = task
+        self._state_key = "pose" if self.state_names == POSE else "state"
         self._declare_specs()
         self._start_line = self._begin(task.start()) if task.starts_alike else None
 
@@ -146,9 +140,14 @@ class TrackEnv(EnvBase):
         """Directions of the rays, [R], float32, rad counter-clockwise from the heading."""
         return self.simulator.sensor_angles
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Of the entries of `state`, which begin with x, y, heading."""
+        return self.simulator.vehicle.state_names
+
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
         """Draws an action for every car from the environment's own generators."""
-        action = self.task.streams.integers(len(Action)).to(self.device)
+        action = self.task.random_action()
         if tensordict is None:
             return TensorDict({"action": action}, batch_size=self.batch_size, device=self.device)
         return tensordict.set("action", action)
@@ -163,16 +162,16 @@ class TrackEnv(EnvBase):
         return self._begin(self.task.start(wanted), wanted.nonzero()[:, 0])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        state = State(*(tensordict[key] for key in State._fields))
-        before = Situation(state, *(tensordict[key] for key in Situation._fields[1:]))
+        cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
+        state = EpisodeState(cars, tensordict["step"], tensordict["last_action"])
         action = tensordict["action"]
-        if action.dtype is not torch.int64 or action.shape != self.batch_size:
-            action = self._whole_numbers(action)
+        if action.dtype is not state.last_action.dtype or action.shape != state.last_action.shape:
+            action = self._of_spec(action, state.last_action)
         try:
-            after = self.task.step(before, action)
-        except ValueError as error:  # The compiled code looks at each car's numbers as it goes.
-            raise _refusal(action, error) from error
-        values = _as_dict(after.situation) | {
+            after = self.task.step(state, action)
+        except (ValueError, IndexError) as error:  # The compiled code looks at each car's numbers as it goes.
+            raise self._refusal(action, error) from error
+        values = self._as_dict(after) | {
             "reward_terms": after.reward_terms,
             "reward": after.reward_terms.sum(dim=-1, keepdim=True),
             "terminated": after.terminated[:, None],
@@ -184,21 +183,36 @@ class TrackEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.task.streams.seed(0 if seed is None else seed_number(seed))
 
-    def _whole_numbers(self, action: Tensor) -> Tensor:
-        """Actions of another integer type as int64.
+    def _of_spec(self, action: Tensor, last: Tensor) -> Tensor:
+        """Actions of another integer type, or of another floating one, in the type of the last actions.
 
         Raises:
-            ConfigError: they are no integers, or not one for each car.
+            ConfigError: they are of another kind, or not one for each car.
         """
-        if action.dtype is torch.bool or action.is_floating_point() or action.is_complex():
-            raise ConfigError(f"action is of {action.dtype}; it must be of torch.int64: 0 forward, 1 left or 2 right")
-        if action.shape != self.batch_size:
-            raise ConfigError(f"action has the shape {list(action.shape)}; it must have {list(self.batch_size)}")
-        return action.long()
+        if action.dtype is torch.bool or action.is_floating_point() is not last.is_floating_point():
+            raise ConfigError(f"action is of {action.dtype}; it must be of {last.dtype}: {self._allowed}")
+        if action.shape != last.shape:
+            raise ConfigError(f"action has the shape {list(action.shape)}; it must have {list(last.shape)}")
+        return action.to(last.dtype)
 
-    def _begin(self, situation: Situation, cars: Tensor | None = None) -> TensorDict:
+    def _refusal(self, action: Tensor, error: Exception) -> ConfigError:
+        """Says which car's number it was that the simulator could not use."""
+        names = self.task.action.names
+        wrong = ((action < 0) | (action >= len(names))).nonzero() if names else action[:0]
+        if len(wrong):
+            car = int(wrong[0])
+            return ConfigError(f"action of car {car} is {int(action[car])}; it must be {self._allowed}")
+        return ConfigError(f"{error}; the state is none that this environment returned, so reset the cars")
+
+    @property
+    def _allowed(self) -> str:
+        """What an action may be, as the end of a sentence."""
+        names, controls = self.task.action.names, self.task.action.control_names
+        return ", ".join(f"{number} {name}" for number, name in enumerate(names)) or f"{', '.join(controls)}, -1 to 1"
+
+    def _begin(self, begun: Begun, cars: Tensor | None = None) -> TensorDict:
         """All cars, or these [K], at the start of an episode, not done; zeros elsewhere."""
-        values = _as_dict(situation)
+        values = self._as_dict(begun)
         if cars is not None:
             for key, value in values.items():
                 values[key] = value.new_zeros(*self.batch_size, *value.shape[1:]).index_copy_(0, cars, value)
@@ -207,47 +221,51 @@ class TrackEnv(EnvBase):
             values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
+    def _as_dict(self, now: Begun | StepResult) -> dict[str, Tensor]:
+        """The state and the observation by the names of the keys."""
+        state, cars = now.state, now.state.cars
+        return {
+            "observation": now.observation,
+            "pose": cars.pose,
+            self._state_key: cars.state,
+            "next_gate": cars.next_gate,
+            "gates_passed": cars.gates_passed,
+            "track": cars.track,
+            "step": state.step,
+            "last_action": state.last_action,
+        }
+
     def _declare_specs(self) -> None:
-        cars = self.batch_size[0]
-        options = {"device": self.device}
-        count = Unbounded((cars,), dtype=torch.int64, **options)
+        cars, task = self.batch_size[0], self.task
+
+        def numbers(width: int) -> Unbounded:
+            return Unbounded((cars, width), dtype=torch.float32)
 
         def index(high: int) -> Categorical:
-            return Categorical(high, shape=(cars,), dtype=torch.int64, **options)
+            return Categorical(high, shape=(cars,), dtype=torch.int64)
 
+        count, flag = Unbounded((cars,), dtype=torch.int64), Binary(1, shape=(cars, 1), dtype=torch.bool)
+        self.action_spec = task.action.spec.expand(cars, *task.action.spec.shape)
         state = {
-            "pose": Unbounded((cars, 3), dtype=torch.float32, **options),
+            self._state_key: numbers(len(self.state_names)),
             "next_gate": index(max(track.gate_count for track in self.tracks)),
             "gates_passed": count,
             "track": index(len(self.tracks)),
             "step": count.clone(),
-            "last_action": index(len(Action)),
+            "last_action": task.action.spec.expand(cars, *task.action.spec.shape),
         }
-        size = self.task.observation_size
-        self.observation_spec = Composite(
-            observation=Bounded(0.0, 1.0, shape=(cars, size), dtype=torch.float32, **options),
-            reward_terms=Unbounded((cars, len(self.task.reward.term_names)), dtype=torch.float32, **options),
-            **state,
-            shape=(cars,),
-            **options,
+        low, high = (
+            torch.tensor([bound for part in task.observation_parts for bound in [getattr(part, name)] * part.width])
+            for name in ("low", "high")
         )
-        self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,), **options)
-        self.action_spec = index(len(Action))
-        self.reward_spec = Unbounded((cars, 1), dtype=torch.float32, **options)
-        flag = Binary(1, shape=(cars, 1), dtype=torch.bool, **options)
-        self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,), **options)
-
-
-def _refusal(action: Tensor, error: ValueError) -> ConfigError:
-    """Says which car's number it was that the compiled code could not use."""
-    wrong = (action < 0) | (action >= len(Action))
-    if wrong.any():
-        car = int(wrong.nonzero()[0])
-        return ConfigError(f"action of car {car} is {int(action[car])}; it must be 0 forward, 1 left or 2 right")
-    return ConfigError(f"{error}; the state is none that this environment returned, so reset the cars")
-
-
-def _as_dict(situation: Situation) -> dict[str, Tensor]:
-    """By the names of the keys."""
-    state, *others = situation
-    return state._asdict() | dict(zip(Situation._fields[1:], others, strict=True))
+        self.observation_spec = Composite(
+            observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
+            reward_terms=numbers(len(task.reward.term_names)),
+            **{"pose": numbers(3), **state},
+            shape=(cars,),
+        ).to(self.device)
+        self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,)).to(self.device)
+        self.reward_spec = Unbounded((cars, 1), dtype=torch.float32).to(self.device)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,)).to(
+            self.device
+        )

@@ -157,7 +157,7 @@ def _to_wire(column: Column, values: np.ndarray) -> bytes:
 def _from_wire(column: Column, payload: bytes, count: int) -> np.ndarray:
     item_bytes = np.dtype(column.wire).itemsize
     width = column.shape[0] if column.shape else 1
-    if width is None or (column.may_be_wider and len(payload) > count * width * item_bytes):
+    if isinstance(width, str):
         width = len(payload) // (count * item_bytes) if count else 0
     if len(payload) != count * width * item_bytes:
         raise ValueError(f"column '{column.name}' has {len(payload)} bytes, which do not fit {count} transitions")

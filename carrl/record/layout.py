@@ -46,7 +46,7 @@ def _values(transitions: "TensorDictBase", column: Column) -> np.ndarray:
         raise ValueError(f"column '{column.name}' has type {dtype}; expected {column.dtype}")
     shape = tuple(tensor.shape[1:])
     if not column.fits(shape):
-        expected = str(list(column.shape)).replace("None", "R")
-        raise ValueError(f"column '{column.name}' has shape {list(shape)} for each transition; expected {expected}")
+        expected = ", ".join(map(str, column.shape))
+        raise ValueError(f"column '{column.name}' has shape {list(shape)} for each transition; expected [{expected}]")
     values: np.ndarray = tensor.detach().cpu().numpy()
     return values

@@ -1,6 +1,6 @@
 """What a log holds: one table of columns and two small messages, and the protobuf schemas that follow from them.
 
-Shape letters: `T` transitions in a message, `R` rays of the distance sensor.
+Shape letters: `T` transitions in a message, `O` values of an observation, `A` actions, `K` terms of the reward.
 """
 
 import typing
@@ -24,9 +24,6 @@ TIME_BASE = (
     "its publish_time that of its first"
 )
 
-RAYS = None
-"""The width of a column that has one value a ray: free, but one and the same throughout a file."""
-
 _PROTOBUF_TYPES = {
     "<f4": FieldDescriptorProto.TYPE_FLOAT,
     "<i4": FieldDescriptorProto.TYPE_SFIXED32,
@@ -44,30 +41,27 @@ class Column:
         key: where TorchRL keeps it in a TensorDict.
         wire: the little-endian NumPy type of its values in the file.
         dtype: the type it has in memory, before writing and after loading.
-        shape: the shape of one transition's value: () for a scalar, else (width,).
+        shape: the shape of one transition's value: () for a scalar, else (width,); a letter is a width that is free,
+            but one and the same throughout a file.
         meaning: what the values are, with their unit.
-        may_be_wider: whether there may be more values than the shape says, all of one width in one log.
     """
 
     name: str
     key: str | tuple[str, ...]
     wire: str
     dtype: str
-    shape: tuple[int | None, ...]
+    shape: tuple[int | str, ...]
     meaning: str
-    may_be_wider: bool = False
 
     @property
     def description(self) -> str:
         """Type, shape and meaning in one line, such as `float32 [3], x m, y m, heading rad`."""
-        width = "".join(f" [{'R' if extent is RAYS else extent}]" for extent in self.shape)
+        width = "".join(f" [{extent}]" for extent in self.shape)
         return f"{self.dtype}{width}, {self.meaning}"
 
     def fits(self, shape: tuple[int, ...]) -> bool:
         """Whether a transition's value may have this shape."""
-        wanted = [extent if want is RAYS else want for want, extent in zip(self.shape, shape, strict=False)]
-        if self.may_be_wider:
-            wanted = [max(want or 0, extent) for want, extent in zip(wanted, shape, strict=False)]
+        wanted = [extent if isinstance(want, str) else want for want, extent in zip(self.shape, shape, strict=False)]
         return len(shape) == len(self.shape) and tuple(wanted) == shape
 
 
@@ -79,26 +73,25 @@ COLUMNS = (
         "observation",
         "<f4",
         "float32",
-        (RAYS,),
+        ("O",),
         f"{_DISTANCES}, before the action; then the last action, if observed",
     ),
-    Column("action", "action", "<i4", "int64", (), "0 forward, 1 left, 2 right"),
+    Column("action", "action", "<i4", "int64", (), "0 forward, 1 left, 2 right, unless the run has others"),
     Column("reward", ("next", "reward"), "<f4", "float32", (1,), "sum of the reward terms"),
     Column(
         "reward_terms",
         ("next", "reward_terms"),
         "<f4",
         "float32",
-        (4,),
-        "collision, proximity, gate, steering; then shaping, if there is any",
-        may_be_wider=True,
+        ("K",),
+        "what each term paid, in their order: collision, proximity, gate, steering, unless the run has others",
     ),
     Column(
         "next_observation",
         ("next", "observation"),
         "<f4",
         "float32",
-        (RAYS,),
+        ("O",),
         f"{_DISTANCES}, after the action; then that action, if observed",
     ),
     Column("terminated", ("next", "terminated"), "|b1", "bool", (1,), "the episode ended here, in a terminal state"),
@@ -107,7 +100,7 @@ COLUMNS = (
     Column("step", "step", "<i4", "int64", (), "index of the transition within its episode, from 0"),
     Column("env", "env", "<i4", "int64", (), "index of the car among those simulated side by side, from 0"),
     Column("pose", "pose", "<f4", "float32", (3,), _POSE),
-    Column("action_value", "action_value", "<f4", "float32", (3,), "Q-values of forward, left, right"),
+    Column("action_value", "action_value", "<f4", "float32", ("A",), "Q-values of the actions, in their order"),
     Column("epsilon", "epsilon", "<f4", "float32", (), "probability with which an action was drawn at random"),
     Column("exploratory", "exploratory", "|b1", "bool", (), "the action was drawn at random"),
     Column("track", "track", "<i4", "int64", (), "index of the track that the car was on, among the attached ones"),
@@ -166,8 +159,11 @@ def message_class(topic: str) -> type[Any]:
 
 
 def empty_columns() -> dict[str, np.ndarray]:
-    """No transitions at all, each column with its loaded type; columns of rays have width 0, for nobody wrote it."""
-    return {column.name: np.zeros((0, *(extent or 0 for extent in column.shape)), column.dtype) for column in COLUMNS}
+    """No transitions at all, each column with its loaded type; a free width is 0, for nobody wrote it."""
+    return {
+        column.name: np.zeros((0, *(0 if isinstance(extent, str) else extent for extent in column.shape)), column.dtype)
+        for column in COLUMNS
+    }
 
 
 def _file_descriptor(topic: str, *, wire_twin: bool) -> FileDescriptorProto:

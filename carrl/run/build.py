@@ -9,48 +9,27 @@ from typing import Any
 import numpy as np
 import torch
 from torchrl.collectors import Collector
-from torchrl.data import TensorDictReplayBuffer, TensorSpec
+from torchrl.data import Categorical, TensorDictReplayBuffer, TensorSpec
 from torchrl.modules import QValueActor
 
 from carrl.agent.exploration import EpsilonGreedy
 from carrl.agent.exploring_policy import ExploringPolicy
 from carrl.agent.policy import GreedyPolicy
 from carrl.agent.weight_noise import WeightNoise, is_noisy
-from carrl.config import build_node
+from carrl.config import build_node, build_terms
 from carrl.data.cluster_collector import ClusterCollector, WorkerParts
 from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.returns import NStepReturns
-from carrl.env.observation import observation_size
+from carrl.env.observation import Observation
 from carrl.env.reward import Reward
 from carrl.env.track_env import TrackEnv
+from carrl.env.world import World
 from carrl.errors import ConfigError, shown
 from carrl.run.combinations import check_offline, check_priorities
 from carrl.run.learner import Agent, Learner
 from carrl.run.plan import EvaluationPlan, OfflinePlan, TrainingPlan
 from carrl.sim.circuits import Circuits
-from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, VehicleModel
-
-
-@dataclass(frozen=True)
-class World:
-    """What is simulated: everything that an evaluation needs but the policy."""
-
-    circuits: Circuits
-    vehicle: VehicleModel
-    sensor: Sensor
-    reward: Reward
-
-    @property
-    def track(self) -> Track:
-        """The first track to learn on: the only one, if there is one."""
-        return self.circuits.training[0]
-
-    def validation_simulator(self, device: torch.device | str = "cpu") -> Simulator:
-        """Where networks are tried out during training."""
-        return Simulator(self.circuits.validation, self.vehicle, self.sensor, device)
 
 
 @dataclass(frozen=True)
@@ -115,7 +94,10 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         track=world.circuits.training,
         vehicle=world.vehicle,
         sensor=world.sensor,
+        action=world.action,
+        observation=world.observation,
         reward=world.reward,
+        start=build_node("start", config["start"]),
         device=device,
         seed=[_part_seed(seed, "env") for seed in seeds],
     )
@@ -158,7 +140,7 @@ def _build_workers_env(config: Config, world: World, cars: int, seed: int) -> Tr
 
 
 def _build_workers_policy(config: Config, action_spec: TensorSpec, seed: int) -> ExploringPolicy:
-    greedy = GreedyPolicy([build_network(config)], observes_action(config))
+    greedy = GreedyPolicy([build_network(config, build_world(config))])
     return ExploringPolicy(greedy, _build_exploration(config, action_spec, [seed]))
 
 
@@ -183,10 +165,9 @@ def build_offline_pipeline(config: Config) -> OfflinePipeline:
     """
     check_offline(config)
     offline_plan: OfflinePlan = build_node("data", config["data"])
-    sensor: Sensor = build_node("sensor", config["sensor"])
-    transitions = check_logs(offline_plan.paths, sensor, observes_action(config))
+    transitions = check_logs(offline_plan.paths, build_world(config))
     learning = _build_learning(config, _with_room(config["replay_buffer"], transitions))
-    fill_from_logs(learning.replay_buffer, offline_plan.paths, len(learning.agents))
+    fill_from_logs(learning.replay_buffer, offline_plan.paths, len(learning.agents), learning.world.action)
     return OfflinePipeline(**vars(learning), offline_plan=offline_plan)
 
 
@@ -215,7 +196,7 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
     seeds = plan.agent_seeds(config["seed"])
     world = build_world(config)
     frames_per_update = 1 if learns_from_logs(config) else plan.frames_per_update
-    agents = [_build_agent(config, seed, device) for seed in seeds]
+    agents = [_build_agent(config, world, seed, device) for seed in seeds]
     replay_buffer = build_node(
         "replay_buffer",
         replay_buffer_node,
@@ -226,15 +207,15 @@ def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
     return Learning(
         world=world,
         agents=agents,
-        policy=GreedyPolicy([agent.network for agent in agents], observes_action(config)),
+        policy=GreedyPolicy([agent.network for agent in agents]),
         replay_buffer=replay_buffer,
         learner=Learner(agents, replay_buffer, compiled=compiled, frames_per_update=frames_per_update),
         plan=plan,
     )
 
 
-def _build_agent(config: Config, seed: int, device: torch.device) -> Agent:
-    network = build_network(config, _generator(seed, "network")).to(device)
+def _build_agent(config: Config, world: World, seed: int, device: torch.device) -> Agent:
+    network = build_network(config, world, _generator(seed, "network")).to(device)
     loss = build_node("loss", config["loss"], network=network)
     target_updater = build_node("target_updater", config["target_updater"], loss=loss)
     return Agent(
@@ -255,31 +236,34 @@ def _build_optional(config: Config, name: str, **dependencies: Any) -> Any:
 
 
 def build_world(config: Config) -> World:
-    """Builds the track, car, sensors and reward that a run was, or will be, trained with."""
+    """Builds the track, car, sensors, observation and reward that a run was, or will be, trained with."""
     track: Track | Circuits = build_node("track", config["track"])
     return World(
         circuits=track if isinstance(track, Circuits) else Circuits.only(track),
         vehicle=build_node("vehicle", config["vehicle"]),
         sensor=build_node("sensor", config["sensor"]),
-        reward=build_node("reward", config["reward"]),
+        action=build_node("action", config["action"]),
+        observation=Observation(build_terms("observation", config["observation"])),
+        reward=Reward(build_terms("reward", config["reward"])),
     )
 
 
-def build_network(config: Config, generator: torch.Generator | None = None) -> QValueActor:
-    """Builds the network with the weights that the generator draws."""
+def build_network(config: Config, world: World, generator: torch.Generator | None = None) -> QValueActor:
+    """Builds the network for this world, with the weights that the generator draws.
+
+    Raises:
+        ConfigError: the actions of the world are not a choice among some.
+    """
+    spec = world.action.spec
+    if not isinstance(spec, Categorical):
+        raise ConfigError("the network has a value for each action; set an action of discrete choices, such as steer3")
     return build_node(
         "network",
         config["network"],
-        observation_size=observation_size(build_node("sensor", config["sensor"]).rays, observes_action(config)),
-        action_count=len(Action),
+        observation_size=world.observation_size,
+        action_count=spec.n,
         generator=generator or torch.Generator(),
     )
-
-
-def observes_action(config: Config) -> bool:
-    """Whether the network reads the last action, too."""
-    node = config["env"]
-    return _checked_flag("env.observe_action", node.get("observe_action") if isinstance(node, Mapping) else None)
 
 
 def _checked_device(name: str) -> torch.device:

@@ -1,36 +1,34 @@
 """Drives a policy without exploration and measures how well it drives.
 
-Shapes: `B` cars, `T` steps, `R` rays.
+Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torchrl.modules import QValueActor
+from torchrl.data import Categorical
 
-from carrl.agent.policy import GreedyPolicy
-from carrl.env.observation import FIRST_ACTION, read
-from carrl.env.random_streams import RandomStreams
-from carrl.env.reward import Reward
+from carrl.env.action import ActionMap, steer3
+from carrl.env.observation import rays_only
+from carrl.env.reward import LAP_TERMS
+from carrl.env.task import Task
+from carrl.env.world import World
 from carrl.errors import ConfigError, shown
-from carrl.sim.simulator import Outcome, Simulator, State
-from carrl.sim.vehicle import Action
+from carrl.rows import Rows
+from carrl.sim.simulator import CarState, Simulator
 
-Policy = Callable[[Tensor, Tensor], Tensor]
-"""Readings of the sensors [B, R], in 0..1, right to left, and last actions [B] to the next values of `Action` [B]."""
+Policy = Callable[[Tensor], Tensor]
+"""Observations [B, O] to actions [B, ...]."""
 
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
 
 MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
-
-SENSOR_SEED = 0
-"""Of what a noisy sensor reads, so that the same policy drives the same drive again."""
 
 
 @dataclass(frozen=True)
@@ -90,27 +88,37 @@ class Drive:
         return cls(**values)
 
 
-def greedy_policy(network: QValueActor, observe_action: bool) -> Policy:
-    """The action of the highest value."""
-    return GreedyPolicy([network], observe_action).actions
+def rule_world(world: World) -> World:
+    """The same world for the hand-written rule, which reads the rays alone and has the paper's actions."""
+    return replace(world, observation=rays_only(), action=steer3())
 
 
-def rule_policy(readings: Tensor, _: Tensor) -> Tensor:
-    """The hand-written baseline: steer to the side whose rays are longer in sum, unless they differ by little."""
+def rule_policy(readings: Tensor) -> Tensor:
+    """The hand-written baseline: steer to the side whose rays are longer in sum, unless they differ by little.
+
+    Its actions are those of `steer3`: 0 straight on, 1 left, 2 right.
+    """
     half = readings.shape[1] // 2
     to_left = readings[:, -half:].sum(-1) - readings[:, :half].sum(-1)
     dead_band = 0.05
-    turn = torch.where(to_left > 0, int(Action.LEFT), int(Action.RIGHT))
-    return torch.where(to_left.abs() > dead_band, turn, int(Action.FORWARD))
+    turn = torch.where(to_left > 0, 1, 2)
+    return torch.where(to_left.abs() > dead_band, turn, 0)
 
 
-def random_policy(seed: int) -> Policy:
+def random_policy(seed: int, action: ActionMap) -> Policy:
     """Actions drawn evenly, the same for the same seed."""
-    generator = torch.Generator().manual_seed(seed)
-    return lambda readings, _: torch.randint(len(Action), readings.shape[:1], generator=generator).to(readings.device)
+    generator, spec = torch.Generator().manual_seed(seed), action.spec
+
+    def act(observation: Tensor) -> Tensor:
+        cars = len(observation)
+        if isinstance(spec, Categorical):
+            return torch.randint(spec.n, (cars,), generator=generator).to(observation.device)
+        return (2 * torch.rand(cars, *spec.shape, generator=generator) - 1).to(observation.device)
+
+    return act
 
 
-def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1) -> list[Drive]:
+def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -> list[Drive]:
     """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
 
     The places are spread evenly along the track, from the start line on.
@@ -122,17 +130,29 @@ def drive(simulator: Simulator, reward: Reward, policy: Policy, starts: int = 1)
         raise ConfigError(f"starts is {starts}; it must be at least 1")
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
-    return drive_from(simulator, reward, policy, torch.cat(stations), track)
+    return rollout(world, simulator, policy, torch.cat(stations), track)
 
 
-def drive_from(
-    simulator: Simulator, reward: Reward, policy: Policy, stations: Tensor, track: Tensor | None = None
+@dataclass(frozen=True)
+class _Moment(Rows):
+    """What is kept of each moment of a rollout, [B, ...]; of several moments [T, B, ...]."""
+
+    cars: CarState
+    ranges: Tensor
+    collided: Tensor
+    reward_terms: Tensor
+    action: Tensor
+    control: Tensor
+
+
+def rollout(
+    world: World, simulator: Simulator, policy: Policy, stations: Tensor, track: Tensor | None = None
 ) -> list[Drive]:
     """Drives one lap from each of these places.
 
     Args:
-        simulator: what moves the cars.
-        reward: what a step earns.
+        world: how a car drives and what counts; its own tracks do not matter.
+        simulator: of the world, on the tracks to drive on.
         policy: what to do.
         stations: of the starts, m along the centreline, [B].
         track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
@@ -143,29 +163,37 @@ def drive_from(
     stations = stations.double()
     if not stations.isfinite().all():
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
-    state = simulator.start(stations, track)
-    limits = _time_limits(simulator, state)
+    task = world.evaluation_task(simulator, len(stations))
+    cars = simulator.start(stations, track)
+    limits = _time_limits(simulator, cars)
     _check_limits(limits, simulator)
-    ranges = simulator.sense(state)
-    streams = RandomStreams([SENSOR_SEED], len(stations))
-    nothing = torch.zeros_like(state.next_gate)
-    outcomes, actions = [Outcome(state, ranges, nothing.bool(), nothing)], [nothing + FIRST_ACTION]
-    driving = ~nothing.bool()
+    now = task.start_at(cars)
+    state, observation = now.state, now.observation
+    moments = [_first_moment(task, state.last_action, cars)]
+    driving = torch.ones_like(cars.next_gate, dtype=torch.bool)
     for step in range(1, int(limits.max()) + 1):
-        action = policy(read(simulator.sensor, outcomes[-1].ranges, streams), actions[-1])
-        outcome = simulator.step(outcomes[-1].state, action)
-        actions.append(action)
-        outcomes.append(outcome)
-        driving &= ~_has_ended(outcome, simulator) & (step < limits)
+        action = policy(observation)
+        after = task.step(state, action)
+        state, observation = after.state, after.observation
+        control = task.action.controls(action)
+        outcome = after.outcome
+        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, after.reward_terms, action, control))
+        driving &= ~(outcome.collided | simulator.has_lapped(outcome.cars)) & (step < limits)
         if not driving.any():
             break
-    return _sum_up(_stack(outcomes), torch.stack(actions), limits, simulator, reward, stations)
+    return _sum_up(_Moment.stack(moments), limits, task, stations)
 
 
-def _time_limits(simulator: Simulator, state: State) -> Tensor:
+def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
+    terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
+    nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
+    return _Moment(cars, task.simulator.sense(cars), nothing, terms, action, task.action.controls(action))
+
+
+def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps after which each car is stopped, [B], int64."""
     lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
-    return (TIME_LIMIT_LAPS * lap_steps).round().long().to(state.track.device)[state.track]
+    return (TIME_LIMIT_LAPS * lap_steps).round().long().to(cars.track.device)[cars.track]
 
 
 def _check_limits(limits: Tensor, simulator: Simulator) -> None:
@@ -179,52 +207,41 @@ def _check_limits(limits: Tensor, simulator: Simulator) -> None:
         )
 
 
-def _has_ended(outcome: Outcome, simulator: Simulator) -> Tensor:
-    return outcome.collided | simulator.has_lapped(outcome.state)
-
-
-def _stack(outcomes: list[Outcome]) -> Outcome:
-    """The outcomes [B, ...] of T + 1 moments as one, [T + 1, B, ...]."""
-    states, ranges, collided, passed = zip(*outcomes, strict=True)
-    return Outcome(State(*map(torch.stack, zip(*states, strict=True))), *map(torch.stack, (ranges, collided, passed)))
-
-
-def _sum_up(
-    course: Outcome, actions: Tensor, limits: Tensor, simulator: Simulator, reward: Reward, stations: Tensor
-) -> list[Drive]:
-    """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that.
-
-    Of the actions [T + 1, B] the first is the one that counts as before the start.
-    """
-    ended = _has_ended(course, simulator)
+def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> list[Drive]:
+    """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
+    simulator, reward = task.simulator, task.reward
+    ended = course.collided | simulator.has_lapped(course.cars)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
-    last = (lengths, torch.arange(len(lengths), device=lengths.device))
-    readings = course.ranges[1:] / simulator.sensor.max_range
-    near = reward.is_near_wall(readings)
-    terms = reward.terms(readings, course.collided[1:], course.gates_passed[1:], actions[1:], actions[:-1])
-    state = State(*(values[last] for values in course.state))
-    progress, lapped = simulator.progress(state, stations).tolist(), simulator.has_lapped(state).tolist()
+    last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
+    near = reward.near_wall.is_near_wall(course.ranges[1:] / simulator.sensor.max_range)
+    lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
+    steer = _steer(course.control, simulator.vehicle.control_names)
+    progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
-        driven = actions[1 : steps + 1, car]
+        driven = steer[1 : steps + 1, car]
         switched = driven[1:] != driven[:-1]
-        turning = driven != Action.FORWARD
         drives.append(
             Drive(
                 start=stations[car].item(),
                 lap_completed=lapped[car],
                 collided=bool(course.collided[steps, car]),
                 progress=progress[car],
-                lap_reward=reward.of_paper(terms)[:steps, car].sum().item(),
-                steering_reward=reward.of_steering(terms)[:steps, car].sum().item(),
+                lap_reward=lap_reward[:steps, car].sum().item(),
+                steering_reward=steering_reward[:steps, car].sum().item(),
                 lap_steps=steps,
-                forward_share=(driven == Action.FORWARD).double().mean().item(),
+                forward_share=(driven == 0).double().mean().item(),
                 switches_per_100m=100 * switched.sum().item() / (steps * simulator.vehicle.step_length),
-                reversals=int((switched & turning[1:] & turning[:-1]).sum()),
+                reversals=int((driven[1:] * driven[:-1] < 0).sum()),
                 near_wall_share=near[:steps, car].double().mean().item(),
-                poses=course.state.pose[: steps + 1, car].cpu().numpy(),
+                poses=course.cars.pose[: steps + 1, car].cpu().numpy(),
                 ranges=course.ranges[: steps + 1, car].cpu().numpy(),
-                actions=driven.cpu().numpy(),
+                actions=course.action[1 : steps + 1, car].cpu().numpy(),
             )
         )
     return drives
+
+
+def _steer(control: Tensor, names: Sequence[str]) -> Tensor:
+    """The control `steer` of these [..., C]: [...]; 0 for a car that is not steered."""
+    return control[..., names.index("steer")] if "steer" in names else torch.zeros_like(control[..., 0])

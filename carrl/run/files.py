@@ -24,7 +24,7 @@ EVALUATIONS = "evaluations.csv"
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 LAP = "lap.png"
-_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
+_CONFIG_KEYS = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_CONFIG_BYTES = 2**18
 """Eighty times what training writes."""

@@ -9,14 +9,16 @@ from typing import Any, Self
 import torch
 from tensordict import TensorDictBase
 
+from carrl.agent.policy import GreedyPolicy
+from carrl.env.world import World
 from carrl.errors import CheckpointError
 from carrl.files import remove_left_overs
 from carrl.record.messages import Episode, Metrics
 from carrl.record.writer import LogWriter
-from carrl.run.build import build_network, observes_action
+from carrl.run.build import build_network
 from carrl.run.checkpoint import load_checkpoint, save_checkpoint
 from carrl.run.divergence import REPORT as DIVERGENCE
-from carrl.run.evaluation import Policy, greedy_policy
+from carrl.run.evaluation import Policy
 from carrl.run.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, checkpoint_path, write_text
 from carrl.run.moment import Moment
 from carrl.run.scalars import Scalars
@@ -173,7 +175,7 @@ class RunFolder:
         write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
-def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any]) -> Policy:
+def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any], world: World) -> Policy:
     """The greedy policy of a run's `best` or `last` network.
 
     Raises:
@@ -181,11 +183,11 @@ def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any]) -> Po
     """
     path = checkpoint_path(run, checkpoint)
     state = load_checkpoint(path).get("network")
-    network = build_network(config)
+    network = build_network(config, world)
     if not _fits(state, network.state_dict()):
         raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")
     network.load_state_dict(state)
-    return greedy_policy(network, observes_action(config))
+    return GreedyPolicy([network]).actions
 
 
 def _fits(state: object, wanted: Mapping[str, torch.Tensor]) -> bool:

@@ -102,7 +102,8 @@ class OfflineTrainer(Training):
         return means
 
     def _evaluate(self) -> None:
-        trials = self._drive(self._pipeline.world.validation_simulator(self._sample["observation"].device))
+        world = self._pipeline.world
+        trials = self._drive(world.simulator(world.circuits.validation, self._sample["observation"].device))
         for run, trial in zip(self.runs, trials, strict=True):
             run.add_evaluation(trial, run.moment)
 

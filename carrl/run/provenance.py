@@ -6,11 +6,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
+import torch
 
 import carrl
+from carrl.env.action import ActionMap
 from carrl.env.track_env import TrackEnv
 from carrl.record.scene import Scene
-from carrl.sim.vehicle import Action
+from carrl.sim.vehicle import VehicleModel
 
 PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "mcap", "protobuf", "numpy", "numba")
 _GIT_TIMEOUT_S = 5.0
@@ -31,17 +33,24 @@ def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
 
 def scene_of(env: TrackEnv) -> Scene:
     """The world of an environment, without its tracks, which a log has as attachments."""
-    vehicle = env.simulator.vehicle
+    vehicle, action = env.simulator.vehicle, env.task.action
     return Scene(
-        action_names=tuple(action.name.lower() for action in Action),
+        action_names=tuple(action.names),
         reward_terms=env.task.reward.term_names,
         sensor_angles=env.sensor_angles.double().cpu().numpy(),
         sensor_range=env.sensor_range,
         time_step=vehicle.time_step,
         body_radius=vehicle.body_radius,
-        manoeuvres=np.array(vehicle.manoeuvres),
+        manoeuvres=_manoeuvres(vehicle, action),
         tracks=(),
     )
+
+
+def _manoeuvres(vehicle: VehicleModel, action: ActionMap) -> np.ndarray:
+    """Where a step of each action leads: distance m, its bearing rad, change of heading rad, [A, 3]."""
+    start = torch.zeros(action.spec.n, len(vehicle.state_names), dtype=torch.float64)
+    x, y, yaw = vehicle.step(start, action.controls(torch.arange(len(start)))).double().numpy()[:, :3].T
+    return np.stack([np.hypot(x, y), np.arctan2(y, x), yaw], axis=-1)
 
 
 def git_commit() -> str | None:

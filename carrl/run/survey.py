@@ -2,9 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 
-from carrl.run.build import World
+from carrl.env.world import World
 from carrl.run.evaluation import Drive, Policy, drive
-from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
 
 CARS_AT_ONCE = 256
@@ -21,21 +20,21 @@ class Survey:
     """
 
     def __init__(self, world: World, tracks: Sequence[Track], starts: int) -> None:
-        self._reward, self._starts = world.reward, starts
+        self._world, self._starts = world, starts
         together = max(1, CARS_AT_ONCE // max(1, starts))
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
-        self._simulators = [Simulator(group, world.vehicle, world.sensor) for group in groups]
+        self._simulators = [world.simulator(group) for group in groups]
 
-    def drive(self, policy: Policy) -> list[list[Drive]]:
-        """The drives of each track.
+    def drive(self, policy: Policy, world: World | None = None) -> list[list[Drive]]:
+        """The drives of each track; a policy that sees something else needs a world of its own, with the same car.
 
         Raises:
             ConfigError: fewer than one start place.
         """
-        return list(self._drives(policy))
+        return list(self._drives(policy, world or self._world))
 
-    def _drives(self, policy: Policy) -> Iterator[list[Drive]]:
+    def _drives(self, policy: Policy, world: World) -> Iterator[list[Drive]]:
         for simulator in self._simulators:
-            drives = drive(simulator, self._reward, policy, self._starts)
+            drives = drive(world, simulator, policy, self._starts)
             for begin in range(0, len(drives), self._starts):
                 yield drives[begin : begin + self._starts]

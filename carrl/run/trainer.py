@@ -55,7 +55,7 @@ class Trainer(Training):
         time_step = pipeline.env.simulator.vehicle.time_step
         gates = [track.gate_count for track in pipeline.env.tracks]
         self._tracker = EpisodeTracker(len(agents), cars, gates, time_step)
-        self._validation = pipeline.world.validation_simulator(pipeline.env.device)
+        self._validation = pipeline.world.simulator(pipeline.world.circuits.validation, pipeline.env.device)
         self._evaluated_at = -1
         self._unlogged: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, self._began
@@ -84,7 +84,9 @@ class Trainer(Training):
 
     def _load(self, state: dict[str, Any]) -> None:
         pipeline = self._pipeline
-        put_back(pipeline.replay_buffer, state["replay_buffer"])  # before the sampler, which has priorities of its own
+        put_back(
+            pipeline.replay_buffer, state["replay_buffer"], pipeline.world.action.spec
+        )  # before the sampler, which has priorities of its own
         super()._load(state)
         if pipeline.returns:
             pipeline.returns.load_state_dict(state["returns"])

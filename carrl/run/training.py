@@ -11,7 +11,7 @@ from carrl.errors import CarrlError, CheckpointError
 from carrl.run.agent_run import AgentRun
 from carrl.run.build import Learning
 from carrl.run.divergence import describe, sentence
-from carrl.run.evaluation import drive_from
+from carrl.run.evaluation import rollout
 from carrl.run.folder import RunFolder
 from carrl.run.state_file import StateFile
 from carrl.run.trial import Trial
@@ -158,5 +158,5 @@ class Training:
         circuits = len(self._learning.world.circuits.validation)
         track = torch.arange(circuits).repeat(len(self.runs))
         policy = self._learning.policy.actions
-        drives = drive_from(simulator, self._learning.world.reward, policy, torch.zeros(len(track)), track)
+        drives = rollout(self._learning.world, simulator, policy, torch.zeros(len(track)), track)
         return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]

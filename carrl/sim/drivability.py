@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from carrl.sim.inspection import road_widths
 from carrl.sim.sensor import Sensor
@@ -41,10 +42,9 @@ class Car:
     @staticmethod
     def of(vehicle: "VehicleModel", sensor: Sensor, proximity_threshold: float) -> "Car":
         """That of a simulation; the threshold is a share of the sensor's range, 0..1."""
-        distance, _, yaw = vehicle.left
         sideways = float(sensor.angles.clamp(-math.pi / 2, math.pi / 2).sin().abs().max())
         return Car(
-            turn_radius=abs(distance / (2 * math.sin(yaw / 2))) if math.sin(yaw / 2) else math.inf,
+            turn_radius=_turn_radius(vehicle),
             step_length=vehicle.step_length,
             body_radius=vehicle.body_radius,
             near_wall=sideways * proximity_threshold * sensor.max_range,
@@ -53,7 +53,17 @@ class Car:
     @property
     def sideways(self) -> float:
         """How far one step of turning moves it to the side, m."""
-        return self.step_length * math.sin(min(self.step_length / self.turn_radius, math.pi / 2))
+        turn = self.step_length / self.turn_radius if self.turn_radius else 0.0
+        return self.step_length * math.sin(min(turn, math.pi / 2))
+
+
+def _turn_radius(vehicle: "VehicleModel") -> float:
+    """Of the circle through the ends of one step with the wheel turned fully, m; 0 where nothing is known of it."""
+    if "steer" not in vehicle.control_names:
+        return 0.0
+    control = torch.tensor([[float(name == "steer") for name in vehicle.control_names]])
+    x, y, yaw, *_ = vehicle.step(torch.zeros(1, len(vehicle.state_names), dtype=torch.float64), control)[0].tolist()
+    return abs(math.hypot(x, y) / (2 * math.sin(yaw / 2))) if math.sin(yaw / 2) else math.inf
 
 
 def unsuitable(track: "Track", car: Car) -> list[str]:

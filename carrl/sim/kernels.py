@@ -1,25 +1,20 @@
 """The simulator's step and sense as machine code for the CPU, one car at a time.
 
-They compute what `carrl.sim.vehicle`, `carrl.sim.geometry` and `carrl.sim.simulator` state in torch; tests compare the
-two. All is float64 and rounded to float32 once, but for the pose, which is moved in float32 as torch moves it.
+They compute what `carrl.sim.geometry` and `carrl.sim.simulator` state in torch; tests compare the two. All is float64
+and rounded to float32 once. How a car moves is the vehicle model's own, `carrl.sim.vehicle`.
 
-Numba compiles them when they are first called, in a few seconds, and keeps the code in `__pycache__` beside this file.
-Where that cannot be written it uses the user's cache folder; NUMBA_CACHE_DIR names another one. Where none can be
-written, every process compiles anew.
-
-Shapes: `B` cars, `R` rays, `A` actions; the others are those of `carrl.sim.terrain`. Lengths are in metres, angles in
-radians counter-clockwise from +x.
+Shapes: `B` cars, `R` rays, `S` entries of a vehicle's state, `C` controls; the others are those of `carrl.sim.terrain`.
+Lengths are in metres, angles in radians counter-clockwise from +x.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.sim.machine_code import compiled, inlined
 from carrl.sim.terrain import Terrain
 from carrl.sim.vehicle import VehicleModel
 
@@ -38,7 +33,6 @@ class World(NamedTuple):
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
         rays: how many of them count.
         max_range: of the rays, m.
-        manoeuvres: distance, bearing and yaw of each action, [A, 3], float32.
         body_radius: of the disc that must not touch a wall, m.
         most_gates: how many gates one step can cross at the most.
     """
@@ -55,7 +49,6 @@ class World(NamedTuple):
     fan: np.ndarray
     rays: int
     max_range: float
-    manoeuvres: np.ndarray
     body_radius: float
     most_gates: int
 
@@ -80,30 +73,41 @@ class Kernels:
             fan=_fan(ray_angles),
             rays=len(ray_angles),
             max_range=float(max_range),
-            manoeuvres=np.array(vehicle.manoeuvres, dtype=np.float32),
             body_radius=float(vehicle.body_radius),
             most_gates=most_gates,
         )
-        no_pose, no_count = torch.zeros(0, 3), torch.zeros(0, dtype=torch.int64)
-        self.step(no_pose, no_count, no_count, no_count, no_count)
-        self.sense(no_pose, no_count, no_count)
+        self._vehicle, self._constants = vehicle, np.array(vehicle.constants, dtype=np.float64)
+        no_count = torch.zeros(0, dtype=torch.int64)
+        no_state, no_control = (torch.zeros(0, len(names)) for names in (vehicle.state_names, vehicle.control_names))
+        self.step(no_state, no_control, no_count, no_count, no_count)
+        self.sense(no_state, no_count, no_count)
 
-    def sense(self, pose: Tensor, next_gate: Tensor, track: Tensor) -> Tensor:
-        """The distances along the rays: poses [B, 3], gates [B], tracks [B] to [B, R], float32, m."""
+    def sense(self, state: Tensor, next_gate: Tensor, track: Tensor) -> Tensor:
+        """The distances along the rays: states [B, S], gates [B], tracks [B] to [B, R], float32, m."""
         counts = [_as_array(count, torch.int64) for count in (next_gate, track)]
-        return torch.from_numpy(_sense(self._world, _as_array(pose, torch.float32), *counts))
+        return torch.from_numpy(_sense(self._world, _as_array(state, torch.float32), *counts))
 
     def step(
-        self, pose: Tensor, next_gate: Tensor, gates_passed: Tensor, track: Tensor, action: Tensor
+        self, state: Tensor, control: Tensor, next_gate: Tensor, gates_passed: Tensor, track: Tensor
     ) -> tuple[Tensor, ...]:
         """Moves every car by one time step.
 
         Returns:
-            The pose [B, 3], next gate [B] and gates passed since the start [B]; then, of this step, the ranges
+            The state [B, S], next gate [B] and gates passed since the start [B]; then, of this step, the ranges
             [B, R], the collisions [B] and the gates passed [B].
         """
-        counts = [_as_array(count, torch.int64) for count in (next_gate, gates_passed, track, action)]
-        return tuple(map(torch.from_numpy, _step(self._world, _as_array(pose, torch.float32), *counts)))
+        before = _as_array(state, torch.float32)
+        after = self._move(before, control)
+        counts = [_as_array(count, torch.int64) for count in (next_gate, gates_passed, track)]
+        return tuple(map(torch.from_numpy, (after, *_follow(self._world, before, after, *counts))))
+
+    def _move(self, state: np.ndarray, control: Tensor) -> np.ndarray:
+        """The vehicle's own step, in machine code if it has any."""
+        if len(control) != len(state):
+            raise ValueError("state and control must be of the same number of cars")
+        if self._vehicle.kernel is None:
+            return _as_array(self._vehicle.step(torch.from_numpy(state), control), torch.float32)
+        return self._vehicle.kernel(state, _as_array(control, torch.float32), self._constants)
 
 
 def _as_array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
@@ -118,61 +122,44 @@ def _fan(angles: Tensor) -> np.ndarray:
     return np.stack([np.cos(padded), np.sin(padded)])
 
 
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""A division by zero gives inf or nan, as in torch."""
-_inlined = numba.njit(inline="always", **_OPTIONS)
-"""Without being told so Numba passes all of `World` at each call, which takes longer than most functions do."""
-
-
-def _called(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles a function for calls from Python, or takes it from the cache."""
-    try:
-        return numba.njit(function, cache=True, **_OPTIONS)
-    except RuntimeError:  # There is no folder that the cache can be written to.
-        return numba.njit(function, **_OPTIONS)
-
-
-@_called
-def _sense(world: World, pose: np.ndarray, next_gate: np.ndarray, track: np.ndarray) -> np.ndarray:
-    """Ranges [B, R], float32, at poses [B, 3], float32."""
-    cars = len(pose)
-    if pose.shape[1] != 3 or len(next_gate) != cars or len(track) != cars:
-        raise ValueError("pose, next_gate and track must be of the same number of cars, a pose of three values")
+@compiled
+def _sense(world: World, state: np.ndarray, next_gate: np.ndarray, track: np.ndarray) -> np.ndarray:
+    """Ranges [B, R], float32, of states [B, S], float32."""
+    cars = len(state)
+    if state.shape[1] < 3 or len(next_gate) != cars or len(track) != cars:
+        raise ValueError("state, next_gate and track must be of the same number of cars, a state begin with a pose")
     ranges = np.empty((cars, world.rays), np.float32)
     work = np.empty((3, world.fan.shape[1]))
     for car in range(cars):
         _check_place(world, track[car], next_gate[car])
-        x, y, heading = np.float64(pose[car, 0]), np.float64(pose[car, 1]), np.float64(pose[car, 2])
+        x, y, heading = np.float64(state[car, 0]), np.float64(state[car, 1]), np.float64(state[car, 2])
         begin, _, end = _walls_near(world, x, y, _level(world, track[car], next_gate[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
     return ranges
 
 
-@_called
-def _step(
+@compiled
+def _follow(
     world: World,
-    pose: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
     next_gate: np.ndarray,
     gates_passed: np.ndarray,
     track: np.ndarray,
-    action: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
-    """What `Kernels.step` returns, for a pose in float32 and all else in int64."""
-    cars = len(pose)
-    counts = len(next_gate), len(gates_passed), len(track), len(action)
-    if pose.shape[1] != 3 or counts != (cars, cars, cars, cars):
-        raise ValueError("pose, next_gate, gates_passed, track and action must be of the same number of cars")
-    next_pose, ranges = np.empty((cars, 3), np.float32), np.empty((cars, world.rays), np.float32)
+    """What `Kernels.step` returns but for the states, which are given before and after, [B, S], float32."""
+    cars = len(before)
+    counts = len(after), len(next_gate), len(gates_passed), len(track)
+    if before.shape[1] < 3 or after.shape[1] < 3 or counts != (cars, cars, cars, cars):
+        raise ValueError("states, next_gate, gates_passed and track must be of the same number of cars")
+    ranges = np.empty((cars, world.rays), np.float32)
     following, since_start, passed = np.empty(cars, np.int64), np.empty(cars, np.int64), np.empty(cars, np.int64)
     collided = np.empty(cars, np.bool_)
     work = np.empty((3, world.fan.shape[1]))
     for car in range(cars):
         _check_place(world, track[car], next_gate[car])
-        if not 0 <= action[car] < len(world.manoeuvres):
-            raise ValueError("an action is not one of those that the car has")
-        _move(world.manoeuvres[action[car]], pose[car], next_pose[car])
-        begin_x, begin_y = np.float64(pose[car, 0]), np.float64(pose[car, 1])
-        x, y, heading = np.float64(next_pose[car, 0]), np.float64(next_pose[car, 1]), np.float64(next_pose[car, 2])
+        begin_x, begin_y = np.float64(before[car, 0]), np.float64(before[car, 1])
+        x, y, heading = np.float64(after[car, 0]), np.float64(after[car, 1]), np.float64(after[car, 2])
         path_x, path_y = x - begin_x, y - begin_y
         level = _level(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, level)
@@ -186,20 +173,10 @@ def _step(
         if _level(world, track[car], following[car]) != level:
             begin, _, end = _walls_near(world, x, y, _level(world, track[car], following[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
-    return next_pose, following, since_start, ranges, collided, passed
+    return following, since_start, ranges, collided, passed
 
 
-@_inlined
-def _move(manoeuvre: np.ndarray, pose: np.ndarray, moved: np.ndarray) -> None:
-    """Writes the pose [3] one step later, in float32 throughout."""
-    distance, bearing, yaw = manoeuvre
-    direction = np.float64(pose[2] + bearing)
-    moved[0] = pose[0] + distance * np.float32(math.cos(direction))
-    moved[1] = pose[1] + distance * np.float32(math.sin(direction))
-    moved[2] = (pose[2] + yaw + np.float32(math.pi)) % np.float32(2 * math.pi) - np.float32(math.pi)
-
-
-@_inlined
+@inlined
 def _check_place(world: World, track: int, next_gate: int) -> None:
     """Raises ValueError where indices would read beyond the arrays, which compiled code does unasked."""
     if not 0 <= track < len(world.first_gate) - 1:
@@ -208,13 +185,13 @@ def _check_place(world: World, track: int, next_gate: int) -> None:
         raise ValueError("a gate's index is not one of those that the track has")
 
 
-@_inlined
+@inlined
 def _level(world: World, track: int, next_gate: int) -> int:
     """The level that a car is on."""
     return world.level_of_gate[world.first_gate[track] + next_gate]
 
 
-@_inlined
+@inlined
 def _walls_near(world: World, x: float, y: float, level: int) -> tuple[int, int, int]:
     """Where in `entries` the walls near a point begin, where those within touch end, and where all end."""
     corners, shapes = world.corners, world.shapes
@@ -226,7 +203,7 @@ def _walls_near(world: World, x: float, y: float, level: int) -> tuple[int, int,
     return world.lists[number, 0], world.lists[number, 1], world.lists[number, 2]
 
 
-@_inlined
+@inlined
 def _touches(world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float) -> bool:
     """Whether the body touches a wall of these entries on its straight way."""
     radius = world.body_radius
@@ -251,7 +228,7 @@ def _touches(world: World, begin: int, end: int, begin_x: float, begin_y: float,
     return False
 
 
-@_inlined
+@inlined
 def _squared_distance(x: float, y: float, start_x: float, start_y: float, edge_x: float, edge_y: float) -> float:
     """From a point to a segment, m^2."""
     dx, dy = x - start_x, y - start_y
@@ -261,7 +238,7 @@ def _squared_distance(x: float, y: float, start_x: float, start_y: float, edge_x
     return dx * dx + dy * dy
 
 
-@_inlined
+@inlined
 def _count_gates(
     gates: np.ndarray, most: int, next_gate: int, begin_x: float, begin_y: float, path_x: float, path_y: float
 ) -> int:
@@ -284,7 +261,7 @@ def _count_gates(
     return passed
 
 
-@_inlined
+@inlined
 def _cast(
     world: World, begin: int, end: int, x: float, y: float, heading: float, work: np.ndarray, ranges: np.ndarray
 ) -> None:
@@ -323,7 +300,7 @@ def _cast(
         ranges[ray] = 1 / nearness[ray]
 
 
-@_inlined
+@inlined
 def _cast_in_line(scale: float, x: float, y: float, end_x: float, end_y: float, work: np.ndarray) -> None:
     """Zero distance for rays that begin on this wall: `scale` is infinite where the car is in line with it."""
     if not math.isfinite(scale):

@@ -5,7 +5,8 @@ Shapes: `B` cars, `R` rays, `T` tracks, `G` gates. Lengths are in metres, angles
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
+from carrl.rows import Rows
 from carrl.sim.geometry import cross, path_clearance, ray_distances
 from carrl.sim.routes import Routes
 from carrl.sim.sensor import Sensor
@@ -27,39 +29,46 @@ _START_CLEARANCE = 1.5
 """How many body radii the middle of a car that starts beside the centreline keeps from the wall at least."""
 
 
-class State(NamedTuple):
+@dataclass(frozen=True)
+class CarState(Rows):
     """All that the simulator knows of the cars.
 
     Attributes:
-        pose: x m, y m, heading rad, [B, 3], float32.
+        state: of the vehicle model, named by its `state_names`, x m, y m, heading rad first, [B, S], float32.
         next_gate: index of the one gate of the car's track that counts next, [B], int64.
         gates_passed: since the start, [B], int64.
         track: index of the track that the car drives on, [B], int64.
     """
 
-    pose: Tensor
+    state: Tensor
     next_gate: Tensor
     gates_passed: Tensor
     track: Tensor
 
+    @property
+    def pose(self) -> Tensor:
+        """X m, y m, heading rad, [B, 3]."""
+        return self.state[..., :3]
+
     @staticmethod
-    def at(pose: Tensor) -> "State":
-        """Cars in any pose [B, 3] on the first track, as if they headed for its first gate."""
-        zeros = torch.zeros(len(pose), dtype=torch.int64, device=pose.device)
-        return State(pose, zeros, zeros.clone(), zeros.clone())
+    def at(state: Tensor) -> "CarState":
+        """Cars in any state [B, S] on the first track, as if they headed for its first gate."""
+        zeros = torch.zeros(len(state), dtype=torch.int64, device=state.device)
+        return CarState(state, zeros, zeros.clone(), zeros.clone())
 
 
-class Outcome(NamedTuple):
+@dataclass(frozen=True)
+class Outcome(Rows):
     """What one step brought.
 
     Attributes:
-        state: after the step.
+        cars: after the step.
         ranges: distance to the wall along each ray, [B, R], float32, m, in [0, max_range].
         collided: the body touched a wall on the way, [B], bool.
         gates_passed: in this step, [B], int64; 0 where it collided.
     """
 
-    state: State
+    cars: CarState
     ranges: Tensor
     collided: Tensor
     gates_passed: Tensor
@@ -68,7 +77,7 @@ class Outcome(NamedTuple):
 class Simulator:
     """Any number of cars side by side, each on one of the tracks; they do not see each other.
 
-    It holds no state of the cars: `start` and `step` return it. The time of a step does not depend on how long the
+    It holds nothing of the cars: `start` and `step` return it. The time of a step does not depend on how long the
     tracks are or how many, but on how many walls a car has within reach.
 
     Args:
@@ -129,7 +138,7 @@ class Simulator:
         track: Tensor | None = None,
         offset: Tensor | None = None,
         heading: Tensor | None = None,
-    ) -> State:
+    ) -> CarState:
         """Cars on the road, by default on the centreline of the first track and in the driving direction.
 
         Args:
@@ -146,16 +155,17 @@ class Simulator:
         if heading is not None:
             pose[:, 2] += heading.cpu()
         next_gate = self.routes.next_gate(track, stations).to(self.device)
-        return State(pose.to(self.device), next_gate, torch.zeros_like(next_gate), track.to(self.device))
+        state = self.vehicle.initial_state(pose).to(self.device)
+        return CarState(state, next_gate, torch.zeros_like(next_gate), track.to(self.device))
 
-    def sense(self, state: State) -> Tensor:
+    def sense(self, cars: CarState) -> Tensor:
         """Distances to the wall along each ray, [B, R], float32, m, in [0, max_range]."""
         if self._kernels:
-            return self._kernels.sense(state.pose, state.next_gate, state.track)
-        angles = state.pose[:, 2:].double() + self.sensor_angles.double()  # In float32 this alone can cost 0.1 mm.
-        return ray_distances(state.pose[:, :2], angles, self._walls_near(state), self.sensor.max_range)
+            return self._kernels.sense(cars.state, cars.next_gate, cars.track)
+        angles = cars.state[:, 2:3].double() + self.sensor_angles.double()  # In float32 this alone can cost 0.1 mm.
+        return ray_distances(cars.state[:, :2], angles, self._walls_near(cars), self.sensor.max_range)
 
-    def step(self, state: State, action: Tensor) -> Outcome:
+    def step(self, cars: CarState, control: Tensor) -> Outcome:
         """Moves every car by one time step.
 
         The body is a disc, swept along the straight way of the step, so that no wall is jumped over at any speed.
@@ -164,36 +174,38 @@ class Simulator:
         pose is not finite has collided.
 
         Args:
-            state: before the step.
-            action: values of `Action`, [B], int64.
+            cars: before the step.
+            control: named by the vehicle's `control_names`, [B, C], float32.
         """
         if self._kernels:
-            pose, next_gate, gates_passed, *of_step = self._kernels.step(*state, action)
-            return Outcome(State(pose, next_gate, gates_passed, state.track), *of_step)
-        pose = self.vehicle.move(state.pose, action)
-        begin, end = state.pose[:, :2].double(), pose[:, :2].double()
-        walls = self._walls_near(state._replace(pose=pose))
+            state, next_gate, gates_passed, *of_step = self._kernels.step(
+                cars.state, control, cars.next_gate, cars.gates_passed, cars.track
+            )
+            return Outcome(CarState(state, next_gate, gates_passed, cars.track), *of_step)
+        state = self.vehicle.step(cars.state, control)
+        begin, end = cars.state[:, :2].double(), state[:, :2].double()
+        walls = self._walls_near(replace(cars, state=state))
         collided = ~(path_clearance(begin, end, walls) >= self.vehicle.body_radius)  # also where it is nan
-        passed = torch.where(collided, 0, self._count_gates(begin, end, state))
-        next_gate = (state.next_gate + passed) % self.gate_counts[state.track]
-        after = State(pose, next_gate, state.gates_passed + passed, state.track)
+        passed = torch.where(collided, 0, self._count_gates(begin, end, cars))
+        next_gate = (cars.next_gate + passed) % self.gate_counts[cars.track]
+        after = CarState(state, next_gate, cars.gates_passed + passed, cars.track)
         return Outcome(after, self.sense(after), collided, passed)
 
-    def has_lapped(self, state: State) -> Tensor:
+    def has_lapped(self, cars: CarState) -> Tensor:
         """Whether each car has passed all gates since its start: [B], bool."""
-        return state.gates_passed >= self.gate_counts[state.track]
+        return cars.gates_passed >= self.gate_counts[cars.track]
 
-    def gate_distance(self, state: State) -> Tensor:
+    def gate_distance(self, cars: CarState) -> Tensor:
         """How far each car is from the middle of the gate that counts next, in a straight line, [B], float32, m."""
-        gate = self.terrain.gates[self.terrain.first_gate[state.track] + state.next_gate].unflatten(-1, (2, 2))
-        return torch.linalg.vector_norm(gate.mean(dim=1) - state.pose[:, :2], dim=-1)
+        gate = self.terrain.gates[self.terrain.first_gate[cars.track] + cars.next_gate].unflatten(-1, (2, 2))
+        return torch.linalg.vector_norm(gate.mean(dim=1) - cars.state[:, :2], dim=-1)
 
-    def progress(self, state: State, start_stations: Tensor) -> Tensor:
+    def progress(self, cars: CarState, start_stations: Tensor) -> Tensor:
         """Share of the lap driven since the start, [B], in [0, 1]; the start's stations are [B], m.
 
         Measured along the centreline, and only as far as the gates passed in order vouch for it.
         """
-        track, passed = state.track.cpu(), state.gates_passed.cpu()
+        track, passed = cars.track.cpu(), cars.gates_passed.cpu()
         length, gate_count = self.routes.lengths[track], self.gate_counts.cpu()[track]
         start = start_stations.cpu() % length
         gate_gap = length / gate_count
@@ -201,7 +213,7 @@ class Simulator:
         first_gate = torch.where(first_gate <= start, first_gate + length, first_gate)
         low = torch.where(passed == 0, start, first_gate + (passed - 1) * gate_gap)
         high = first_gate + passed * gate_gap
-        station = self.routes.nearest_stations(track, state.pose[:, :2].cpu(), low, high)
+        station = self.routes.nearest_stations(track, cars.state[:, :2].cpu(), low, high)
         return torch.where(passed >= gate_count, 1.0, ((station - start) / length).clamp(0, 1))
 
     def _load_kernels(self) -> "Kernels":
@@ -216,16 +228,16 @@ class Simulator:
         shift = torch.where(offset > 0, left, right) * offset
         return shift[:, None] * torch.stack([-heading.sin(), heading.cos()], dim=-1)
 
-    def _walls_near(self, state: State) -> Tensor:
-        level = self.terrain.level(state.track, state.next_gate)
-        return self.terrain.walls_near(state.pose[:, :2], level, self._most_walls)
+    def _walls_near(self, cars: CarState) -> Tensor:
+        level = self.terrain.level(cars.track, cars.next_gate)
+        return self.terrain.walls_near(cars.state[:, :2], level, self._most_walls)
 
-    def _count_gates(self, begin: Tensor, end: Tensor, state: State) -> Tensor:
+    def _count_gates(self, begin: Tensor, end: Tensor, cars: CarState) -> Tensor:
         """Gates crossed forward and in order on the straight ways begin-end, [B], int64."""
-        first, count = self.terrain.first_gate[state.track], self.gate_counts[state.track]
-        passed = torch.zeros_like(state.next_gate)
+        first, count = self.terrain.first_gate[cars.track], self.gate_counts[cars.track]
+        passed = torch.zeros_like(cars.next_gate)
         for _ in range(self._most_gates_per_step):
-            gate = self.terrain.gates[first + (state.next_gate + passed) % count].unflatten(-1, (2, 2))
+            gate = self.terrain.gates[first + (cars.next_gate + passed) % count].unflatten(-1, (2, 2))
             passed = passed + _crosses_forward(begin, end, gate)
         return passed
 

@@ -1,53 +1,47 @@
-"""The car: constant speed, three actions, and a disc for a body.
+"""Vehicle models: a named state, named controls, and how one step leads from one state to the next.
 
-Shapes: `A` actions, `B` cars. Lengths are in metres, angles in radians counter-clockwise from +x.
+A model states its motion twice: `step` in torch, for any device and as the definition, and `kernel`, optional, the same
+for the CPU as machine code. The simulator reads the first three entries of the state, where the car is; all else is
+the model's own business.
+
+Shapes: `N` cars, `S` entries of the state, `C` controls. Lengths are in metres, angles in radians counter-clockwise
+from +x.
 """
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import NamedTuple
+from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
+from carrl.sim.machine_code import compiled
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of every parameter of a car, m, m/s, s or degrees; far off, so that none of their products overflows."""
+POSE = ("x", "y", "heading")
+"""What every state begins with: m, m, rad."""
 
-
-class Action(IntEnum):
-    """What the driver can ask for; the car moves on in all three."""
-
-    FORWARD = 0
-    LEFT = 1
-    RIGHT = 2
-
-
-class Manoeuvre(NamedTuple):
-    """How one step of an action moves a car, whatever its pose.
-
-    Attributes:
-        distance: from where it was to where it is then, m; negative if that lies against the bearing.
-        bearing: of that way from the heading before, rad.
-        yaw: change of heading, rad.
-    """
-
-    distance: float
-    bearing: float
-    yaw: float
-
-    def mirrored(self) -> "Manoeuvre":
-        """The same to the other side."""
-        return Manoeuvre(self.distance, -self.bearing, -self.yaw)
+Kernel = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""States [N, S], float32, controls [N, C], float32, and the model's constants [K], float64, to the next states."""
 
 
 class VehicleModel(ABC):
-    """What all cars have in common; a model of one says what its actions do."""
+    """What all cars have in common.
 
-    speed: float
+    Attributes:
+        state_names: of the state's entries, beginning with those of `POSE`.
+        control_names: of the controls; each lies in [-1, 1].
+        time_step: simulated time of one step, s.
+        body_radius: radius of the disc that must not touch a wall, m.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = POSE
+    control_names: ClassVar[tuple[str, ...]]
     time_step: float
     body_radius: float
 
@@ -60,52 +54,77 @@ class VehicleModel(ABC):
                 raise ConfigError(f"vehicle.{name} is {value}; it must lie between {LEAST:g} and {MOST:g}")
 
     @property
-    def forward(self) -> Manoeuvre:
-        """What a step of the action forward does."""
-        return Manoeuvre(self.step_length, 0.0, 0.0)
-
-    @property
     @abstractmethod
-    def left(self) -> Manoeuvre:
-        """What a step of the action left does; right is its mirror image."""
-
-    @property
-    def manoeuvres(self) -> tuple[Manoeuvre, ...]:
-        """What a step of each `Action` does."""
-        return self.forward, self.left, self.left.mirrored()
-
-    @property
     def step_length(self) -> float:
-        """Distance driven in one step, m."""
-        return self.speed * self.time_step
+        """The longest way that a car drives in one step, m."""
 
-    def move(self, pose: Tensor, action: Tensor) -> Tensor:
+    @property
+    def kernel(self) -> Kernel | None:
+        """`step` as machine code, made by `carrl.sim.machine_code.compiled`; None to run it in torch everywhere."""
+        return None
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """What the kernel needs to know of this car, [K]."""
+        return ()
+
+    def initial_state(self, pose: Tensor) -> Tensor:
+        """The states [N, S] of cars that an episode starts at these poses [N, 3] with; zero beyond the pose."""
+        return torch.nn.functional.pad(pose, (0, len(self.state_names) - len(POSE)))
+
+    @abstractmethod
+    def step(self, state: Tensor, control: Tensor) -> Tensor:
         """Drives one step.
 
         Args:
-            pose: x m, y m, heading rad, [B, 3].
-            action: values of `Action`, [B], int64.
+            state: named by `state_names`, [N, S].
+            control: named by `control_names`, [N, C], in [-1, 1].
 
         Returns:
-            The pose one step later, [B, 3], heading in [-pi, pi).
+            The states one step later, [N, S], heading in [-pi, pi).
         """
-        distance, bearing, yaw = pose.new_tensor(self.manoeuvres)[action].unbind(-1)
-        direction, heading = pose[:, 2] + bearing, pose[:, 2] + yaw
-        x = pose[:, 0] + distance * direction.cos()
-        y = pose[:, 1] + distance * direction.sin()
-        return torch.stack([x, y, torch.remainder(heading + math.pi, 2 * math.pi) - math.pi], dim=-1)
+
+
+class ConstantSpeed(VehicleModel):
+    """A car that does nothing but steer: its one control is -1 full right, 0 straight on, 1 full left.
+
+    Attributes:
+        speed: m/s, the same in every step.
+        time_step: simulated time of one step, s.
+    """
+
+    control_names = ("steer",)
+    speed: float
+
+    @property
+    def step_length(self) -> float:
+        """Distance driven in one step along the way, m."""
+        return self.speed * self.time_step
+
+
+@compiled
+def _turn_then_drive(state: np.ndarray, control: np.ndarray, constants: np.ndarray) -> np.ndarray:
+    """What `Vehicle.step` computes, in float32 throughout but for sine and cosine."""
+    distance, yaw_per_step = np.float32(constants[0]), np.float32(constants[1])
+    moved = np.empty_like(state)
+    for car in range(len(state)):
+        heading = state[car, 2] + control[car, 0] * yaw_per_step
+        moved[car, 0] = state[car, 0] + distance * np.float32(math.cos(np.float64(heading)))
+        moved[car, 1] = state[car, 1] + distance * np.float32(math.sin(np.float64(heading)))
+        moved[car, 2] = (heading + np.float32(math.pi)) % np.float32(2 * math.pi) - np.float32(math.pi)
+    return moved
 
 
 @dataclass(frozen=True)
-class Vehicle(VehicleModel):
-    """Turns on the spot by a fixed angle, then drives straight along its new heading (semi-implicit Euler).
+class Vehicle(ConstantSpeed):
+    """Turns on the spot by up to a fixed angle, then drives straight along its new heading (semi-implicit Euler).
 
     A car that keeps turning therefore drives a regular polygon with sides of `step_length`.
 
     Attributes:
         speed: m/s, the same in every step.
         time_step: simulated time of one step, s.
-        turn_radius: radius of the circle driven while turning, m.
+        turn_radius: radius of the circle driven while turning fully, m.
         body_radius: radius of the disc that must not touch a wall, m.
     """
 
@@ -116,18 +135,45 @@ class Vehicle(VehicleModel):
 
     @property
     def yaw_per_step(self) -> float:
-        """Change of heading in one turning step, rad."""
+        """Change of heading in one step of turning fully, rad."""
         return self.step_length / self.turn_radius
 
     @property
-    def left(self) -> Manoeuvre:
-        """Turn first, then drive."""
-        return Manoeuvre(self.step_length, self.yaw_per_step, self.yaw_per_step)
+    def kernel(self) -> Kernel:
+        """The same on the CPU."""
+        return _turn_then_drive
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """Distance, m, and change of heading, rad, of a step."""
+        return self.step_length, self.yaw_per_step
+
+    def step(self, state: Tensor, control: Tensor) -> Tensor:
+        """Turns first, then drives."""
+        heading = state[:, 2] + control[:, 0].to(state) * self.yaw_per_step
+        return _placed(state, self.step_length, heading, heading)
+
+
+@compiled
+def _drive_an_arc(state: np.ndarray, control: np.ndarray, constants: np.ndarray) -> np.ndarray:
+    """What `Bicycle.step` computes: what each control does in float64, the pose in float32."""
+    step_length, wheelbase, steering_angle = constants
+    moved = np.empty_like(state)
+    for car in range(len(state)):
+        slip = math.atan(math.tan(np.float64(control[car, 0]) * steering_angle) / 2)
+        half_yaw = step_length * math.sin(slip) / wheelbase
+        chord = step_length if half_yaw == 0 else step_length * math.sin(half_yaw) / half_yaw
+        direction = np.float64(state[car, 2] + np.float32(slip + half_yaw))
+        heading = state[car, 2] + np.float32(2 * half_yaw)
+        moved[car, 0] = state[car, 0] + np.float32(chord) * np.float32(math.cos(direction))
+        moved[car, 1] = state[car, 1] + np.float32(chord) * np.float32(math.sin(direction))
+        moved[car, 2] = (heading + np.float32(math.pi)) % np.float32(2 * math.pi) - np.float32(math.pi)
+    return moved
 
 
 @dataclass(frozen=True)
-class Bicycle(VehicleModel):
-    """The kinematic bicycle, seen from half-way between its axles, its front wheel turned by one angle or straight.
+class Bicycle(ConstantSpeed):
+    """The kinematic bicycle, seen from half-way between its axles.
 
     Each step is the exact arc of a circle, with the car's middle sliding along it at an angle to the heading. Only for
     collisions and gates the way is the arc's chord.
@@ -136,7 +182,7 @@ class Bicycle(VehicleModel):
         speed: of the car's middle, m/s, the same in every step.
         time_step: simulated time of one step, s.
         wheelbase: between the axles, m.
-        steering_angle: of the front wheel in a turn, degrees.
+        steering_angle: of the front wheel when it is turned fully, degrees.
         body_radius: radius of the disc about the car's middle that must not touch a wall, m.
 
     Source: Rajamani, "Vehicle Dynamics and Control" (2012), section 2.2.
@@ -156,16 +202,35 @@ class Bicycle(VehicleModel):
 
     @property
     def slip_angle(self) -> float:
-        """Of the way of the car's middle against its heading, in a turn to the left, rad."""
+        """Of the way of the car's middle against its heading, in a full turn to the left, rad."""
         return math.atan(math.tan(math.radians(self.steering_angle)) / 2)
 
     @property
     def turn_radius(self) -> float:
-        """Of the circle that the car's middle drives, m."""
+        """Of the circle that the car's middle drives in a full turn, m."""
         return self.wheelbase / (2 * math.sin(self.slip_angle))
 
     @property
-    def left(self) -> Manoeuvre:
+    def kernel(self) -> Kernel:
+        """The same on the CPU."""
+        return _drive_an_arc
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """Way of a step, m, wheelbase, m, and steering angle, rad."""
+        return self.step_length, self.wheelbase, math.radians(self.steering_angle)
+
+    def step(self, state: Tensor, control: Tensor) -> Tensor:
         """The chord of the arc."""
-        yaw = self.step_length / self.turn_radius
-        return Manoeuvre(2 * self.turn_radius * math.sin(yaw / 2), self.slip_angle + yaw / 2, yaw)
+        angle = control[:, 0].double() * math.radians(self.steering_angle)
+        slip = (angle.tan() / 2).atan()
+        half_yaw = self.step_length * slip.sin() / self.wheelbase
+        chord = self.step_length * torch.sinc(half_yaw / math.pi)
+        direction = state[:, 2] + (slip + half_yaw).to(state)
+        return _placed(state, chord.to(state), direction, state[:, 2] + (2 * half_yaw).to(state))
+
+
+def _placed(state: Tensor, distance: Tensor | float, direction: Tensor, heading: Tensor) -> Tensor:
+    """The poses [N, 3] so far from the states [N, S] in this direction [N], with this heading [N]."""
+    x, y = state[:, 0] + distance * direction.cos(), state[:, 1] + distance * direction.sin()
+    return torch.stack([x, y, torch.remainder(heading + math.pi, 2 * math.pi) - math.pi], dim=-1)

@@ -5,6 +5,7 @@ Shapes: `T` time steps, `R` rays. Lengths are in metres, angles in radians count
 Source: the paper's figure 2 (the track, the car, the gates; the green lines are its sensors).
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,11 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action
 from carrl.view.action_colours import action_colours
 from carrl.view.close_up import draw_close_up
 from carrl.view.figure import BLACK, GREEN, INK, YELLOW, save_figure
 from carrl.view.track_map import Floats, TrackMap, draw_track_map
 
-ACTION_COLOURS = dict(zip(Action, action_colours(len(Action)), strict=True))
 MOST_CARS = 6
 """At how many places along the drive the car is drawn."""
 LEAST_GAP = 70.0
@@ -42,6 +41,7 @@ def draw_lap(
     sensor_angles: Floats,
     actions: NDArray[np.integer],
     *,
+    action_names: Sequence[str],
     body_radius: float,
     title: str,
     collided: bool = False,
@@ -54,7 +54,8 @@ def draw_lap(
         poses: x, y, heading in which each action was chosen, [T, 3], m, m, rad; or [T + 1, 3] with the last pose.
         ranges: distance to the wall along each ray at those poses, [T, R], m.
         sensor_angles: directions of the rays, [R], rad counter-clockwise from the heading.
-        actions: values of `Action`, [T].
+        actions: indices into the names, [T].
+        action_names: what each action is called.
         body_radius: radius of the car's disc, m.
         title: one line above the map.
         collided: whether the drive ended at a wall; its end is then a cross instead of a ring.
@@ -63,13 +64,13 @@ def draw_lap(
     steps = _steps_shown(poses[: len(ranges), :2], track_map.scale)
     close_up = draw_close_up(track_map, track, poses[steps, :2])
     for view in filter(None, (track_map, close_up)):
-        _draw_line(view, poses[:, :2], actions)
+        _draw_line(view, poses[:, :2], actions, action_colours(len(action_names)))
         for step in steps:
             _draw_rays(view, track, poses[step, :2], ray_ends(poses[step], ranges[step], sensor_angles))
             _draw_car(view, poses[step], body_radius)
         if len(poses) > 0:
             view.axes.add_line(_end_mark(collided, *poses[-1, :2]))
-    _draw_legend(track_map, actions, collided)
+    _draw_legend(track_map, actions, action_names, collided)
     save_figure(track_map.figure, path)
 
 
@@ -105,7 +106,7 @@ def _length(positions: Floats) -> float:
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
-def _draw_line(track_map: TrackMap, positions: Floats, actions: NDArray[np.integer]) -> None:
+def _draw_line(track_map: TrackMap, positions: Floats, actions: NDArray[np.integer], colours: Sequence[str]) -> None:
     """The way from each position [T, 2] to the next in the colour of the action that was chosen there.
 
     Steps too short to see would blend into grey; there, each stretch of FINEST shows its prevailing action.
@@ -115,9 +116,11 @@ def _draw_line(track_map: TrackMap, positions: Floats, actions: NDArray[np.integ
     actions = prevailing_actions(actions, max(1, round(FINEST * len(actions) / points)))
     stretches = same_action_stretches(actions)
     lines = [positions[begin : end + 1] for begin, end in stretches]
-    colours = [ACTION_COLOURS[Action(actions[begin])] for begin, _ in stretches]
+    colour_of_line = [colours[actions[begin]] for begin, _ in stretches]
     width = track_map.width(0.5, least=1.5, most=2.2)
-    track_map.axes.add_collection(LineCollection(lines, colors=colours, linewidths=width, capstyle="butt", zorder=5))
+    track_map.axes.add_collection(
+        LineCollection(lines, colors=colour_of_line, linewidths=width, capstyle="butt", zorder=5)
+    )
 
 
 def _draw_rays(track_map: TrackMap, track: Track, position: Floats, ends: Floats) -> None:
@@ -148,12 +151,14 @@ def _end_mark(collided: bool, x: float = 0.0, y: float = 0.0) -> Line2D:
     return Line2D([x], [y], linestyle="none", markeredgewidth=1.2, zorder=9, **style)
 
 
-def _draw_legend(track_map: TrackMap, actions: NDArray[np.integer], collided: bool) -> None:
+def _draw_legend(
+    track_map: TrackMap, actions: NDArray[np.integer], action_names: Sequence[str], collided: bool
+) -> None:
     """Below the map at the right: what the colours mean, with each action's share of the steps, and the marks."""
     handles = []
-    for action, colour in ACTION_COLOURS.items():
+    for action, (name, colour) in enumerate(zip(action_names, action_colours(len(action_names)), strict=True)):
         share = f" {round(100 * np.mean(actions == action))} %" if len(actions) else ""
-        handles.append(Line2D([], [], color=colour, linewidth=2.2, label=f"{action.name.lower()}{share}"))
+        handles.append(Line2D([], [], color=colour, linewidth=2.2, label=f"{name}{share}"))
     rays = Line2D([], [], color=GREEN, linewidth=0.9, marker="o", markersize=5.5, label="car, sensor rays")
     rays.set(markerfacecolor=YELLOW, markeredgecolor=INK, markeredgewidth=0.7)
     end = _end_mark(collided)

@@ -44,7 +44,7 @@ def test_every_agent_acts_as_its_own_network_would(make):
     written = policy(TensorDict({"observation": observation}, [12]))
     for key in ("action_value", "chosen_action_value", "action"):
         torch.testing.assert_close(written[key], expected[key])
-    assert torch.equal(policy.actions(observation, torch.zeros(12, dtype=torch.int64)), expected["action"])
+    assert torch.equal(policy.actions(observation), expected["action"])
 
 
 def test_together_and_alone_the_values_are_the_same_bit_for_bit():
@@ -64,12 +64,12 @@ def test_the_policy_follows_the_networks_as_they_are_trained():
     torch.testing.assert_close(policy.action_values(observation), network.module[0].module(observation))
 
 
-def test_the_last_action_is_read_where_the_networks_want_it():
+def test_actions_are_those_of_the_highest_value_for_all_that_the_networks_read():
     network = make_q_network([4], observation_size=10, action_count=3, generator=torch.Generator().manual_seed(0))
     readings, last_action = torch.rand(6, 7), torch.tensor([0, 1, 2, 0, 1, 2])
     observation = torch.cat([readings, nn.functional.one_hot(last_action, 3).float()], dim=-1)
     expected = network.module[0].module(observation).argmax(-1)
-    assert torch.equal(GreedyPolicy([network], observe_action=True).actions(readings, last_action), expected)
+    assert torch.equal(GreedyPolicy([network]).actions(observation), expected)
 
 
 def test_stacked_tensors_are_rows_of_one_and_stay_where_they_are():

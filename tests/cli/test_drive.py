@@ -120,7 +120,7 @@ def test_laps_are_counted(play, capsys, tmp_path):
 
 def test_a_runs_car_and_track_are_taken(play, capsys, tmp_path):
     (tmp_path / ".hydra").mkdir()
-    config = compose("track=oval", "vehicle.speed=20", "reward.gate=7")
+    config = compose("track=oval", "vehicle.speed=20", "reward.gate.weight=7")
     (tmp_path / ".hydra" / "config.yaml").write_text(yaml.safe_dump(config))
     play({1: down(pygame.K_UP), 60: down(pygame.K_ESCAPE)}, "--run", str(tmp_path))
     assert lines(capsys) == ["attempt 1: 19 steps, 1 gates, 0 laps, reward -213, hit a wall"]

@@ -317,3 +317,26 @@ assert "torch" not in sys.modules
     assert finished.returncode == 0, finished.stderr
     assert finished.stderr.startswith("carrl: ")
     assert "sedd" in finished.stderr
+
+
+def test_other_actions_observations_and_rewards_are_trained_logged_and_evaluated(tmp_path, capsys):
+    own = ["action=steer5", "observation=rays_and_last_action", "reward.proximity=null", "reward.steering.turn=-1"]
+    assert main(["train", *TINY, *own, f"hydra.run.dir={tmp_path}"]) == 0
+    transitions = load(tmp_path / "train.mcap")
+    assert transitions["observation"].shape == (320, 7 + 5)
+    assert transitions["action_value"].shape == (320, 5)
+    assert transitions["next", "reward_terms"].shape == (320, 3)  # collision, gate, steering
+    assert set(transitions["action"].tolist()) == set(range(5))
+    metadata = read_summary(tmp_path / "train.mcap").metadata
+    assert json.loads(metadata["reward_terms"]) == ["collision", "gate", "steering"]
+    assert json.loads(metadata["action_names"]) == ["forward", "left", "right", "half_left", "half_right"]
+    yaw = [yaw for _, _, yaw in json.loads(metadata["manoeuvres"])]
+    assert yaw == pytest.approx([0, 1 / 7.2, -1 / 7.2, 0.5 / 7.2, -0.5 / 7.2], abs=1e-12)
+    assert main(["log", "show", str(tmp_path / "train.mcap")]) == 0
+    laps = []
+    for policy in ("greedy", "rule"):
+        capsys.readouterr()
+        assert main(["evaluate", str(tmp_path), "--policy", policy, "--json"]) == 0
+        laps.append(json.loads(capsys.readouterr().out))
+    # The rule reads the rays alone, whether it is asked for or stands beside the network.
+    assert laps[1]["tracks"][0]["laps_completed"] == 1

@@ -7,12 +7,15 @@ import torch
 
 from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.replay_buffer import KEYS, make_replay_buffer
+from carrl.env.action import DiscreteActions
+from carrl.env.observation import rays_and_last_action
 from carrl.errors import LogError
 from carrl.log import load
 from carrl.sim.sensor import Sensor
 from tests.data.logs import METADATA, STEPS, logged_transitions, write_log
+from tests.worlds import make_world
 
-SENSOR = Sensor()
+WORLD = make_world("oval")
 
 
 def make_buffer(agents):
@@ -24,7 +27,7 @@ def make_buffer(agents):
 def test_every_agent_gets_every_transition_of_every_log_in_order(agents, tmp_path):
     paths = [write_log(tmp_path / "a.mcap"), write_log(tmp_path / "b.mcap")]
     buffer = make_buffer(agents)
-    fill_from_logs(buffer, paths, agents)
+    fill_from_logs(buffer, paths, agents, WORLD.action)
     expected = torch.cat([load(path) for path in paths])
     assert len(buffer) == len(expected) == 2 * len(STEPS)
     for agent in range(agents):
@@ -34,7 +37,7 @@ def test_every_agent_gets_every_transition_of_every_log_in_order(agents, tmp_pat
 
 def test_agents_sample_different_minibatches_of_the_same_transitions(tmp_path):
     buffer = make_buffer(2)
-    fill_from_logs(buffer, [write_log(tmp_path / "a.mcap")], 2)
+    fill_from_logs(buffer, [write_log(tmp_path / "a.mcap")], 2, WORLD.action)
     items, agents = buffer.sampler.sample(buffer.storage, 64)[0]
     assert not torch.equal(items[:, 0], items[:, 1])
     assert torch.equal(agents, torch.arange(2).expand(64, 2))
@@ -42,45 +45,52 @@ def test_agents_sample_different_minibatches_of_the_same_transitions(tmp_path):
 
 def test_logs_that_fit_are_counted(tmp_path):
     paths = [write_log(tmp_path / "a.mcap"), write_log(tmp_path / "b.mcap")]
-    assert check_logs(paths, SENSOR, observe_action=False) == 20
+    assert check_logs(paths, WORLD) == 20
 
 
 def test_a_log_that_says_nothing_of_its_sensor_is_taken_at_its_width(tmp_path):
-    assert check_logs([write_log(tmp_path / "a.mcap", metadata={})], SENSOR, observe_action=False) == 10
+    assert check_logs([write_log(tmp_path / "a.mcap", metadata={})], WORLD) == 10
 
 
 def test_a_log_without_transitions_counts_for_nothing(tmp_path):
     empty = write_log(tmp_path / "a.mcap", logged_transitions()[:0])
-    assert check_logs([empty], SENSOR, observe_action=False) == 0
+    assert check_logs([empty], WORLD) == 0
+
+
+BOTH = rays_and_last_action()
 
 
 @pytest.mark.parametrize(
-    ("sensor", "observe_action", "message"),
+    ("parts", "message"),
     [
         (
-            Sensor(rays=9),
-            False,
-            r"its observations have 7 values, the network reads 9 \(sensor\.rays=9, env\.observe_action=false\); "
-            "set both as in the run that wrote it",
+            {"sensor": Sensor(rays=9)},
+            r"its observations have 7 values, the network reads 9 \(9 of rays\); "
+            r"set sensor\.rays and observation as in the run that wrote it",
         ),
-        (SENSOR, True, r"have 7 values, the network reads 10 \(sensor\.rays=7, env\.observe_action=true\)"),
-        (Sensor(rays=4), True, r"its sensor has 7 rays over 180 degrees, this configuration's 4 rays over 180 degrees"),
+        ({"observation": BOTH}, r"have 7 values, the network reads 10 \(7 of rays, 3 of last_action\)"),
         (
-            Sensor(field_of_view=120),
-            False,
+            {"sensor": Sensor(rays=4), "observation": BOTH},
+            r"its sensor has 7 rays over 180 degrees, this configuration's 4 rays over 180 degrees",
+        ),
+        (
+            {"sensor": Sensor(field_of_view=120)},
             r"7 rays over 180 degrees, this .* 7 rays over 120 degrees; set sensor\.rays",
         ),
         (
-            Sensor(max_range=15),
-            False,
+            {"sensor": Sensor(max_range=15)},
             r"its sensor reaches 10\.0 m, this configuration's 15 m; set sensor\.max_range=10\.0",
         ),
+        (
+            {"action": DiscreteActions(("forward", "left"), {"steer": (0.0, 1.0)})},
+            r"its actions are \['forward', 'left', 'right'\], this car's are \['forward', 'left'\]",
+        ),
     ],
-    ids=["rays", "observed action", "rays and action", "field of view", "range"],
+    ids=["rays", "observed action", "rays and action", "field of view", "range", "actions"],
 )
-def test_a_log_of_another_sensor_is_refused(sensor, observe_action, message, tmp_path):
+def test_a_log_of_another_car_is_refused(parts, message, tmp_path):
     with pytest.raises(LogError, match=message):
-        check_logs([write_log(tmp_path / "a.mcap")], sensor, observe_action)
+        check_logs([write_log(tmp_path / "a.mcap")], make_world("oval", **parts))
 
 
 @pytest.mark.parametrize(
@@ -99,16 +109,16 @@ def test_a_log_of_another_sensor_is_refused(sensor, observe_action, message, tmp
 def test_a_log_with_other_metadata_is_refused(entry, message, tmp_path):
     path = write_log(tmp_path / "a.mcap", metadata=METADATA | entry)
     with pytest.raises(LogError, match=message):
-        check_logs([path], SENSOR, observe_action=False)
+        check_logs([path], WORLD)
 
 
 @pytest.mark.parametrize("action", [-1, 3])
 def test_an_action_that_there_is_not_is_refused(action, tmp_path):
     path = write_log(tmp_path / "a.mcap", logged_transitions(action=action))
     with pytest.raises(LogError, match=r"has actions .*; they must lie in 0\.\.2, forward, left, right"):
-        fill_from_logs(make_buffer(1), [path], 1)
+        fill_from_logs(make_buffer(1), [path], 1, WORLD.action)
 
 
 def test_a_missing_log_is_named(tmp_path):
     with pytest.raises(LogError, match=r"nowhere\.mcap"):
-        check_logs([tmp_path / "nowhere.mcap"], SENSOR, observe_action=False)
+        check_logs([tmp_path / "nowhere.mcap"], WORLD)

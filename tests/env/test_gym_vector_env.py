@@ -10,6 +10,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import carrl
+from carrl import Start, paper_reward, rays_and_last_action
 from carrl.errors import ConfigError
 
 MODES = list(AutoresetMode)
@@ -54,8 +55,8 @@ def assert_same(one, other):
     "options",
     [
         {"track": "paper"},
-        {"track": "oval", "random_start": True, "start_offset": 0.5, "heading_jitter": 30, "mirrored": True},
-        {"observe_action": True, "reward": carrl.Reward(turn=-0.1, switch=-0.3), "max_episode_steps": 15},
+        {"track": "oval", "start": Start(anywhere=True, offset=0.5, heading_jitter=30, mirrored=True)},
+        {"observation": rays_and_last_action(), "reward": paper_reward(-0.1, -0.3), "max_episode_steps": 15},
     ],
 )
 def test_all_cars_at_once_do_what_copies_of_the_single_environment_do(mode, options):
@@ -82,7 +83,7 @@ def test_spaces_and_metadata_are_those_of_copies():
 
 @pytest.mark.parametrize("mode", MODES[:2])
 def test_what_it_returns_lies_in_its_spaces(mode):
-    env = make(autoreset_mode=mode, random_start=True)
+    env = make(autoreset_mode=mode, start=Start(anywhere=True))
     view, _ = env.reset(seed=1)
     env.action_space.seed(1)
     for _ in range(60):
@@ -93,8 +94,12 @@ def test_what_it_returns_lies_in_its_spaces(mode):
 
 
 def test_the_same_seed_gives_the_same_rollout_with_noise_too():
-    options = {"sensor": carrl.Sensor(noise=0.2, dropout=0.1), "random_start": True, "track": ["oval", "paper"]}
-    one, other = make(sample_track=True, **options), make(sample_track=True, **options)
+    options = {
+        "sensor": carrl.Sensor(noise=0.2, dropout=0.1),
+        "start": Start(anywhere=True, sample_track=True),
+        "track": ["oval", "paper"],
+    }
+    one, other = make(**options), make(**options)
     assert_same(one.reset(seed=3), other.reset(seed=3))
     rng = np.random.default_rng(0)
     for _ in range(60):
@@ -103,14 +108,14 @@ def test_the_same_seed_gives_the_same_rollout_with_noise_too():
 
 
 def test_a_seed_of_a_list_belongs_to_its_car():
-    env = make(3, random_start=True)
+    env = make(3, start=Start(anywhere=True))
     _, by_number = env.reset(seed=10)
     _, by_list = env.reset(seed=[12, 11, 10])
     np.testing.assert_array_equal(by_number["pose"], by_list["pose"][::-1])
 
 
 def test_without_a_seed_the_random_numbers_go_on():
-    env, twin = make(random_start=True), make(random_start=True)
+    env, twin = make(start=Start(anywhere=True)), make(start=Start(anywhere=True))
     poses = [each.reset(seed=1)[1]["pose"] for each in (env, twin)]
     later = [each.reset()[1]["pose"] for each in (env, twin)]
     np.testing.assert_array_equal(*later)
@@ -202,7 +207,7 @@ def test_gymnasiums_wrappers_for_vectors_work():
 
 
 def test_a_misspelt_option_is_answered_with_all_that_there_are():
-    with pytest.raises(ConfigError, match=r"keyword argument 'autoreset' .*num_envs.*autoreset_mode.*random_start"):
+    with pytest.raises(ConfigError, match=r"keyword argument 'autoreset' .*num_envs.*autoreset_mode.*start"):
         make(autoreset="SameStep")
 
 
@@ -255,11 +260,11 @@ def test_integers_of_every_kind_are_actions():
 @pytest.mark.parametrize("seed", [1.5, True, "1", -1, 2**63, [1, 2.5, 3], [1, True, 3], [1, 2, "3"]])
 def test_seeds_are_whole_numbers_that_the_generators_take(seed):
     with pytest.raises(ConfigError, match=r"^seed(\[\d\])? is .*; it must be a whole number, at least 0"):
-        make(3, random_start=True).reset(seed=seed)
+        make(3, start=Start(anywhere=True)).reset(seed=seed)
 
 
 def test_numpys_integers_are_seeds_and_sizes():
-    env, other = make(np.int64(3), random_start=True), make(3, random_start=True)
+    env, other = make(np.int64(3), start=Start(anywhere=True)), make(3, start=Start(anywhere=True))
     poses = [env.reset(seed=seed)[1]["pose"] for seed in (np.int64(5), np.array([5, 6, 7]))]
     poses.append(other.reset(seed=5)[1]["pose"])
     np.testing.assert_array_equal(poses[0], poses[1])

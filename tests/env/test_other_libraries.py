@@ -8,6 +8,7 @@ from torchrl.envs import GymEnv, GymWrapper
 from torchrl.envs.utils import check_env_specs
 
 import carrl
+from carrl.env.start import Start
 
 
 def always(action):
@@ -16,7 +17,7 @@ def always(action):
 
 
 def test_torchrl_makes_one_car_by_its_id():
-    env = GymEnv("carrl/Track-v0", track="oval", random_start=True, categorical_action_encoding=True)
+    env = GymEnv("carrl/Track-v0", track="oval", start=Start(anywhere=True), categorical_action_encoding=True)
     check_env_specs(env)
     rollout = env.rollout(60, policy=always(1))
     assert rollout["next", "terminated"].squeeze(-1).tolist() == [False] * (len(rollout) - 1) + [True]

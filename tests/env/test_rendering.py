@@ -166,7 +166,12 @@ def test_drawing_is_quick_on_tracks_of_any_length(track, request):
 
 def test_a_noisy_sensor_with_the_last_action_and_a_slow_car_is_drawn_too():
     sensor = carrl.Sensor(rays=1, field_of_view=90, max_range=40, noise=0.5)
-    env = make(sensor=sensor, observe_action=True, vehicle=carrl.Vehicle(time_step=0.05), track=["oval", "paper"])
+    env = make(
+        sensor=sensor,
+        observation=carrl.rays_and_last_action(),
+        vehicle=carrl.Vehicle(time_step=0.05),
+        track=["oval", "paper"],
+    )
     env.step(2)
     assert env.render().shape == (480, 640, 3)
     assert env.metadata["render_fps"] == 20
@@ -174,7 +179,12 @@ def test_a_noisy_sensor_with_the_last_action_and_a_slow_car_is_drawn_too():
 
 
 def test_all_cars_of_a_batch_are_on_one_picture():
-    options = {"track": "oval", "render_mode": "rgb_array", "autoreset_mode": "Disabled", "random_start": True}
+    options = {
+        "track": "oval",
+        "render_mode": "rgb_array",
+        "autoreset_mode": "Disabled",
+        "start": carrl.Start(anywhere=True),
+    }
     env = gymnasium.make_vec("carrl/Track-v0", num_envs=5, **options)
     env.reset(seed=1)
     (picture,) = env.render()

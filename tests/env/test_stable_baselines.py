@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import carrl
+from carrl.env.start import Start
 from carrl.errors import ConfigError
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'carrl[sb3]'")
@@ -32,7 +33,7 @@ def test_its_dqn_trains_and_then_chooses_actions_that_exist():
 
 
 def test_its_ppo_trains_on_many_cars_and_logs_their_episodes():
-    envs = carrl.sb3.make_vec_env("oval", num_envs=8, observe_action=True)
+    envs = carrl.sb3.make_vec_env("oval", num_envs=8, observation=carrl.rays_and_last_action())
     model = stable_baselines3.PPO("MlpPolicy", envs, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
     before = [weights.clone() for weights in model.policy.parameters()]
     model.learn(1_024)
@@ -67,7 +68,7 @@ def test_many_cars_do_what_trackenvs_do():
 
 def test_many_cars_start_as_the_seed_says():
     def first(seed, later_seed=None):
-        envs = carrl.sb3.make_vec_env("oval", num_envs=3, seed=seed, random_start=True)
+        envs = carrl.sb3.make_vec_env("oval", num_envs=3, seed=seed, start=Start(anywhere=True))
         if later_seed is not None:
             envs.seed(later_seed)
         return envs.reset()

@@ -8,7 +8,8 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from carrl import Reward, Sensor, Track, TrackEnv, Vehicle
+from carrl import Reward, Sensor, Start, Track, TrackEnv, Vehicle, paper_reward, rays_and_last_action
+from carrl.env.reward import Shaping
 from carrl.errors import ConfigError, TrackError
 
 
@@ -25,7 +26,7 @@ def drive(env, actions):
 @pytest.mark.parametrize("random_start", [False, True])
 @pytest.mark.parametrize("num_envs", [1, 5])
 def test_specs_match_what_the_environment_returns(num_envs, random_start):
-    check_env_specs(TrackEnv(num_envs=num_envs, seed=0, random_start=random_start))
+    check_env_specs(TrackEnv(num_envs=num_envs, seed=0, start=Start(anywhere=random_start)))
 
 
 def test_shapes_and_types_are_the_documented_ones():
@@ -67,8 +68,8 @@ def test_actions_are_forward_left_right():
 
 
 def test_same_seed_same_rollout_whatever_else_draws_from_torch():
-    first = TrackEnv(num_envs=4, seed=7, random_start=True).rollout(200, break_when_any_done=False)
-    other = TrackEnv(num_envs=4, seed=7, random_start=True)
+    first = TrackEnv(num_envs=4, seed=7, start=Start(anywhere=True)).rollout(200, break_when_any_done=False)
+    other = TrackEnv(num_envs=4, seed=7, start=Start(anywhere=True))
     torch.manual_seed(123)
     torch.rand(1000)
     assert (first == other.rollout(200, break_when_any_done=False)).all()
@@ -81,7 +82,7 @@ def test_different_seeds_give_different_rollouts():
 
 def test_the_environment_leaves_torchs_own_generator_alone():
     before = torch.get_rng_state()
-    TrackEnv(num_envs=2, seed=0, random_start=True).rollout(50, break_when_any_done=False)
+    TrackEnv(num_envs=2, seed=0, start=Start(anywhere=True)).rollout(50, break_when_any_done=False)
     assert torch.equal(before, torch.get_rng_state())
 
 
@@ -143,7 +144,7 @@ def test_the_reward_is_the_sum_of_its_terms():
 
 
 def test_random_starts_spread_over_the_track():
-    env = TrackEnv(num_envs=64, seed=0, random_start=True)
+    env = TrackEnv(num_envs=64, seed=0, start=Start(anywhere=True))
     state = env.reset()
     assert (state["observation"] > 0.1).all()  # on the centreline, clear of walls
     assert len(state["next_gate"].unique()) == env.track.gate_count
@@ -170,7 +171,7 @@ def test_a_different_car_can_be_driven():
 
 
 def test_the_last_action_can_be_observed():
-    env = TrackEnv(num_envs=2, max_steps=3, observe_action=True)
+    env = TrackEnv(num_envs=2, max_steps=3, observation=rays_and_last_action())
     check_env_specs(env)
     state = env.reset()
     assert state["observation"][:, 7:].tolist() == [[1, 0, 0]] * 2
@@ -180,15 +181,15 @@ def test_the_last_action_can_be_observed():
 
 
 def test_steering_costs_reward_from_the_second_action_on():
-    env = TrackEnv(num_envs=1, reward=Reward(turn=-1.0, switch=-3.0))
+    env = TrackEnv(num_envs=1, reward=paper_reward(turn=-1.0, switch=-3.0))
     steering = [step["reward_terms"][0, 3].item() for step in drive(env, [0, 1, 1, 2, 0])]
     assert steering == [0, -4, -1, -7, -3]
 
 
 def test_cars_of_several_seeds_drive_as_they_would_alone():
-    together = TrackEnv(num_envs=2, seed=[5, 6], random_start=True).rollout(150, break_when_any_done=False)
+    together = TrackEnv(num_envs=2, seed=[5, 6], start=Start(anywhere=True)).rollout(150, break_when_any_done=False)
     for index, seed in enumerate((5, 6)):
-        alone = TrackEnv(num_envs=2, seed=seed, random_start=True).rollout(150, break_when_any_done=False)
+        alone = TrackEnv(num_envs=2, seed=seed, start=Start(anywhere=True)).rollout(150, break_when_any_done=False)
         assert (together[2 * index : 2 * index + 2] == alone).all()
         assert alone["next", "done"].any()
 
@@ -220,7 +221,13 @@ def test_cars_on_different_tracks_drive_as_alone_on_theirs():
 
 def test_a_sampled_track_changes_from_episode_to_episode_and_follows_the_seed():
     def tracks(seed: int) -> torch.Tensor:
-        env = TrackEnv(["oval", "paper", "serpentine"], num_envs=4, seed=seed, sample_track=True, max_steps=3)
+        env = TrackEnv(
+            ["oval", "paper", "serpentine"],
+            num_envs=4,
+            seed=seed,
+            start=Start(sample_track=True),
+            max_steps=3,
+        )
         return env.rollout(60, break_when_any_done=False)["track"]
 
     assert torch.equal(tracks(1), tracks(1))
@@ -230,7 +237,7 @@ def test_a_sampled_track_changes_from_episode_to_episode_and_follows_the_seed():
 
 
 def test_mirrored_and_reversed_episodes_are_drawn_by_chance():
-    env = TrackEnv("paper", num_envs=400, seed=0, mirrored=True, reversed=True)
+    env = TrackEnv("paper", num_envs=400, seed=0, start=Start(mirrored=True, reversed=True))
     check_env_specs(env)
     names = ["paper", "paper-mirrored", "paper-reversed", "paper-mirrored-reversed"]
     assert [track.name for track in env.tracks] == names
@@ -242,7 +249,7 @@ def test_mirrored_and_reversed_episodes_are_drawn_by_chance():
 
 
 def test_starts_vary_beside_the_centreline_and_in_heading():
-    env = TrackEnv("oval", num_envs=300, seed=0, start_offset=1.0, heading_jitter=20.0)
+    env = TrackEnv("oval", num_envs=300, seed=0, start=Start(offset=1.0, heading_jitter=20.0))
     check_env_specs(env)
     pose = env.reset()["pose"]
     assert pose[:, 0].std() < 1e-3  # all on the start line, which runs along y
@@ -252,11 +259,11 @@ def test_starts_vary_beside_the_centreline_and_in_heading():
 
 
 @pytest.mark.parametrize(
-    ("option", "value"), [("start_offset", 1.5), ("start_offset", -0.1), ("heading_jitter", 200.0)]
+    ("option", "value"), [("offset", 1.5), ("offset", -0.1), ("heading_jitter", 200.0), ("offset", float("nan"))]
 )
 def test_a_start_that_cannot_be_is_refused(option, value):
-    with pytest.raises(ConfigError, match=rf"env\.{option} is {value}; it must be "):
-        TrackEnv(**{option: value})
+    with pytest.raises(ConfigError, match=rf"start\.{option} is {value}; it must be "):
+        Start(**{option: value})
 
 
 # Sensors that err
@@ -295,7 +302,11 @@ def test_the_reward_counts_true_distances_whatever_the_sensor_reads():
 
 
 def test_agents_with_noisy_sensors_fare_as_they_would_alone():
-    options = {"num_envs": 2, "random_start": True, "sensor": Sensor(noise=0.3, dropout=0.1), "heading_jitter": 5.0}
+    options = {
+        "num_envs": 2,
+        "start": Start(anywhere=True, heading_jitter=5.0),
+        "sensor": Sensor(noise=0.3, dropout=0.1),
+    }
     together = TrackEnv(seed=[5, 6], **options).rollout(150, break_when_any_done=False)
     for index, seed in enumerate((5, 6)):
         alone = TrackEnv(seed=seed, **options).rollout(150, break_when_any_done=False)
@@ -308,7 +319,7 @@ def test_agents_with_noisy_sensors_fare_as_they_would_alone():
 def test_a_cuda_device_gives_the_same_rollouts_as_the_cpu(track):
     rollouts = []
     for device in ("cpu", "cuda"):
-        env = TrackEnv(track, num_envs=64, device=device, seed=0, random_start=True)
+        env = TrackEnv(track, num_envs=64, device=device, seed=0, start=Start(anywhere=True))
         rollouts.append(env.rollout(50, break_when_any_done=False).cpu())
     on_cpu, on_cuda = rollouts
     together = (on_cpu["next", "done"] == on_cuda["next", "done"]).all()
@@ -318,7 +329,13 @@ def test_a_cuda_device_gives_the_same_rollouts_as_the_cpu(track):
 
 
 def test_shaping_counts_the_way_to_the_next_gates_middle_and_is_part_of_the_sum():
-    env = TrackEnv("oval", num_envs=4, seed=0, random_start=True, reward=Reward(approach=0.5, discount=0.9))
+    env = TrackEnv(
+        "oval",
+        num_envs=4,
+        seed=0,
+        start=Start(anywhere=True),
+        reward=Reward({**paper_reward().terms, "shaping": Shaping(0.5, 0.9)}),
+    )
     check_env_specs(env)
     rollout = env.rollout(60, break_when_any_done=False)["next"]
     assert rollout["reward_terms"].shape == (4, 60, 5)
@@ -398,13 +415,8 @@ WRONG_TYPES = [
     {"seed": True},
     {"seed": -1},
     {"seed": 2**63},
-    {"start_offset": "0.5"},
-    {"heading_jitter": True},
-    {"random_start": "no"},
-    {"sample_track": 1},
-    {"mirrored": None},
-    {"reversed": "yes"},
-    {"observe_action": 2},
+    {"start": "anywhere"},
+    {"observation": 2},
     {"vehicle": 3},
     {"sensor": "wide"},
     {"reward": {"gate": 50}},
@@ -420,6 +432,23 @@ def test_a_parameter_of_another_type_or_range_is_refused_in_one_sentence(wrong):
         TrackEnv(**wrong)
 
 
+WRONG_STARTS = [
+    {"offset": "0.5"},
+    {"heading_jitter": True},
+    {"anywhere": "no"},
+    {"sample_track": 1},
+    {"mirrored": None},
+    {"reversed": "yes"},
+]
+
+
+@pytest.mark.parametrize("wrong", WRONG_STARTS, ids=str)
+def test_a_start_of_another_type_is_refused_in_one_sentence(wrong):
+    ((name, _),) = wrong.items()
+    with pytest.raises(ConfigError, match=rf"^start\.{name} is [^;]*; it must be [^\n]*$"):
+        Start(**wrong)
+
+
 def test_each_seed_of_a_list_is_checked():
     with pytest.raises(ConfigError, match=r"seed\[1\] is 'a'; it must be a whole number"):
         TrackEnv(seed=[1, "a"])
@@ -432,9 +461,9 @@ def test_a_seed_that_is_set_is_checked(seed):
 
 
 def test_numpys_integers_are_sizes_and_seeds():
-    env = TrackEnv(num_envs=np.int64(2), seed=np.int32(3), max_steps=np.int64(9), random_start=True)
+    env = TrackEnv(num_envs=np.int64(2), seed=np.int32(3), max_steps=np.int64(9), start=Start(anywhere=True))
     first = env.reset()["pose"]
-    assert torch.equal(first, TrackEnv(num_envs=2, seed=3, random_start=True).reset()["pose"])
+    assert torch.equal(first, TrackEnv(num_envs=2, seed=3, start=Start(anywhere=True)).reset()["pose"])
     env.set_seed(np.int64(3))
     assert torch.equal(first, env.reset()["pose"])
 
@@ -445,7 +474,7 @@ def test_a_track_may_be_given_as_a_path(tmp_path):
 
 
 def test_a_pickled_environment_goes_on_where_it_stood():
-    env = TrackEnv("oval", num_envs=2, seed=[5, 6], random_start=True)
+    env = TrackEnv("oval", num_envs=2, seed=[5, 6], start=Start(anywhere=True))
     env.reset()
     copy = pickle.loads(pickle.dumps(env))
     drawn, again = (each.rollout(30, break_when_any_done=False) for each in (env, copy))
@@ -454,7 +483,7 @@ def test_a_pickled_environment_goes_on_where_it_stood():
 
 
 def test_an_environment_can_be_handed_to_a_spawned_process():
-    env = TrackEnv("oval", num_envs=2, seed=1, random_start=True)
+    env = TrackEnv("oval", num_envs=2, seed=1, start=Start(anywhere=True))
     worker = multiprocessing.get_context("spawn").Process(target=TrackEnv.rollout, args=(env, 3))
     worker.start()
     worker.join()

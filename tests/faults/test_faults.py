@@ -198,7 +198,7 @@ def test_a_signal_saves_the_run_and_ends_it(number, never_stopped, tmp_path):
 def test_a_second_signal_ends_the_process_at_once(tmp_path):
     run = tmp_path / "run"
     process = start(
-        run, "env.num_envs=16384", "env.random_start=true"
+        run, "env.num_envs=16384", "start.anywhere=true"
     )  # as many updates in a round, without a compiler: half a minute
     wait_for(process, lambda: (run / "train.mcap").exists() and (run / "train.mcap").stat().st_size > 2**18)
     process.send_signal(signal.SIGTERM)

@@ -149,7 +149,7 @@ def test_a_refused_batch_leaves_the_log_as_it_was(tmp_path, transitions):
         (("next", "reward_terms"), None, "no key ('next', 'reward_terms')"),
         ("pose", torch.zeros(4, 2), "'pose' has shape [2] for each transition; expected [3]"),
         (("next", "reward"), torch.zeros(4), "'reward' has shape [] for each transition; expected [1]"),
-        ("observation", torch.zeros(4), "'observation' has shape [] for each transition; expected [R]"),
+        ("observation", torch.zeros(4), "'observation' has shape [] for each transition; expected [O]"),
         ("observation", torch.zeros(4, 7).double(), "'observation' has type float64; expected float32"),
         (("next", "observation"), torch.zeros(4, 8), "'next_observation' has width 8; expected 7"),
         ("action", torch.tensor([0, 1, 2, 2**31]), "'action' holds 0..2147483648; it must lie in -2147483648.."),

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from carrl.env.reward import Reward
+from carrl.env.action import ContinuousActions, DiscreteActions
 from carrl.errors import ConfigError, TrackError
 from carrl.run import best_lap
 from carrl.run.best_lap import find_best_lap
 from carrl.run.evaluation import drive, rule_policy
 from carrl.sim.centreline import Centreline
-from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
+from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer
+from tests.worlds import make_world
 
-LEFT_OR_RIGHT = {Action.LEFT, Action.RIGHT}
+LEFT_OR_RIGHT = {LEFT, RIGHT}
 
 
 def clover(width=10.0):
@@ -28,29 +28,32 @@ def clover(width=10.0):
     points = np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
     half = np.full(36, width / 2)
     track = Track.from_centreline("clover", Centreline(points, half, half), gate_count=4)
-    return Simulator(track, Vehicle(speed=7.0, time_step=1.0, turn_radius=7 / math.radians(35)), Sensor())
+    return make_world(track, vehicle=Vehicle(speed=7.0, time_step=1.0, turn_radius=7 / math.radians(35)))
 
 
 @pytest.fixture(scope="module")
 def clean_laps():
     """The actions of every clean lap of the clover, found by driving all sequences of actions as far as they go."""
-    simulator, reward, laps = clover(), Reward(), []
-    drives, state = [()], simulator.start(torch.zeros(1))
+    world, laps = clover(), []
+    simulator = world.simulator(world.track)
+    drives, cars = [()], simulator.start(torch.zeros(1))
     while drives:
-        drives = [(*actions, action) for actions in drives for action in Action]
+        drives = [(*actions, action) for actions in drives for action in ACTIONS]
         last = torch.tensor([actions[-1] for actions in drives])
-        state, ranges, collided, _ = simulator.step(State(*(v.repeat_interleave(3, dim=0) for v in state)), last)
-        clean = ~collided & ~reward.is_near_wall(ranges / simulator.sensor.max_range)
-        done = state.gates_passed >= simulator.track.gate_count
+        repeated = cars.map(lambda values: values.repeat_interleave(3, dim=0))
+        outcome = simulator.step(repeated, steer(last))
+        cars = outcome.cars
+        clean = ~outcome.collided & ~world.reward.near_wall.is_near_wall(outcome.ranges / world.sensor.max_range)
+        done = cars.gates_passed >= simulator.track.gate_count
         laps += [drives[i] for i in (clean & done).nonzero()[:, 0]]
         going = (clean & ~done).nonzero()[:, 0]
-        drives, state = [drives[i] for i in going], State(*(v[going] for v in state))
+        drives, cars = [drives[i] for i in going], cars[going]
     return laps
 
 
 def counts(actions):
     """Turns, switches and steps."""
-    turns = sum(action != Action.FORWARD for action in actions)
+    turns = sum(action != FORWARD for action in actions)
     return turns, sum(a != b for a, b in pairwise(actions)), len(actions)
 
 
@@ -59,7 +62,7 @@ def goes_directly_from_side_to_side(actions):
 
 
 def test_no_clean_lap_of_a_tiny_track_is_better(clean_laps):
-    best = find_best_lap(clover(), Reward(), bin_size=0.01)
+    best = find_best_lap(clover(), bin_size=0.01)
     assert counts(best.actions) == min(map(counts, clean_laps)) == (11, 8, 20)
     assert tuple(best.actions) in clean_laps
     assert goes_directly_from_side_to_side(best.actions)
@@ -67,29 +70,42 @@ def test_no_clean_lap_of_a_tiny_track_is_better(clean_laps):
 
 def test_forgetting_places_costs_nothing_but_time(monkeypatch):
     monkeypatch.setattr(best_lap, "_MEMORY_SLOTS", 5)
-    assert counts(find_best_lap(clover(), Reward(), bin_size=0.01).actions) == (11, 8, 20)
+    assert counts(find_best_lap(clover(), bin_size=0.01).actions) == (11, 8, 20)
 
 
 def test_the_best_lap_of_the_oval_is_clean_and_turns_little_more_than_once_round():
-    simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    best = find_best_lap(simulator, Reward(), bin_size=0.7)
+    world = make_world("oval")
+    best = find_best_lap(world, bin_size=0.7)
     assert best.lap_completed and not best.collided and best.near_wall_share == 0
     assert best.lap_reward == 8 * 50
     turns, switches, _ = counts(best.actions)
     turned = np.unwrap(best.poses[:, 2])
-    assert turns >= round(abs(turned[-1] - turned[0]) / simulator.vehicle.yaw_per_step)
-    assert 2 * math.pi - math.radians(20) < turns * simulator.vehicle.yaw_per_step < 2 * math.pi + math.radians(20)
-    (rule,) = drive(simulator, Reward(), rule_policy)
+    assert turns >= round(abs(turned[-1] - turned[0]) / world.vehicle.yaw_per_step)
+    assert 2 * math.pi - math.radians(20) < turns * world.vehicle.yaw_per_step < 2 * math.pi + math.radians(20)
+    (rule,) = drive(world, world.simulator(world.track), rule_policy)
     assert rule.lap_completed and rule.near_wall_share == 0
     assert (turns, switches) < counts(rule.actions)[:2]
 
 
 def test_a_track_too_narrow_for_a_clean_lap_is_named():
     with pytest.raises(TrackError, match="track 'clover': found no lap without a collision or a step near a wall"):
-        find_best_lap(clover(width=2.5), Reward(), bin_size=0.5)
+        find_best_lap(clover(width=2.5), bin_size=0.5)
 
 
 @pytest.mark.parametrize("bin_size", [0.0, -1.0, math.nan, 0.8])
 def test_a_square_that_a_step_may_not_leave_is_refused(bin_size):
     with pytest.raises(ConfigError, match=r"bin_size is .*; it must be positive and at most 0\.707 m"):
-        find_best_lap(Simulator(Track.load("oval"), Vehicle(), Sensor()), Reward(), bin_size=bin_size)
+        find_best_lap(make_world("oval"), bin_size=bin_size)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"action": ContinuousActions(("steer",))},
+        {"action": DiscreteActions(("forward", "half_left", "right"), {"steer": (0.0, 0.5, -1.0)})},
+    ],
+    ids=["continuous", "half a turn"],
+)
+def test_a_car_that_steers_otherwise_is_refused(parts):
+    with pytest.raises(ConfigError, match="among full left, straight on and full right at a constant speed"):
+        find_best_lap(make_world("oval", **parts))

@@ -88,11 +88,19 @@ def test_seconds_of_runs_trained_alone_are_compared(tmp_path):
 def test_returns_are_compared_where_the_same_is_paid_for(tmp_path):
     for turn in (0, -8):
         for seed in (0, 1):
-            reward = {"collision": -200.0, "gate": 50.0, "turn": turn}
+            reward = {"collision": {"weight": -200.0}, "gate": {"weight": 50.0}, "steering": {"turn": turn}}
             write_run(tmp_path / f"{turn} {seed}", seed, reward=reward)
     keys = {each.measure.key for each in find([tmp_path]).comparisons}
     assert "final_return" not in keys
     assert "lap_reward" in keys  # the paper's, without what turns cost
+
+
+def test_lap_rewards_are_compared_where_the_papers_weights_are_the_same(tmp_path):
+    for gate in (50.0, 2.0):
+        for seed in (0, 1):
+            reward = {"collision": {"weight": -200.0}, "gate": {"weight": gate}}
+            write_run(tmp_path / f"{gate} {seed}", seed, reward=reward)
+    assert "lap_reward" not in {each.measure.key for each in find([tmp_path]).comparisons}
 
 
 def write_grid(root):

@@ -55,7 +55,7 @@ def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bi
     "overrides",
     [
         ["trainer.seeds=[3,7]"],
-        ["sensor.noise=0.2", "env.mirrored=true", "env.observe_action=true"],
+        ["sensor.noise=0.2", "start.mirrored=true", "observation=rays_and_last_action"],
         ["collector.steps_per_batch=3"],
         ["recorder.max_file_bytes=1048576", "recorder.every_nth_episode=2"],
         ["returns=n_step", "collector.steps_per_batch=3"],

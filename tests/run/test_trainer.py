@@ -126,7 +126,7 @@ def test_the_same_seed_trains_the_same_network(tmp_path):
 
 @pytest.mark.parametrize("random_start", ["false", "true"])
 def test_two_agents_side_by_side_train_as_each_would_alone(tmp_path, random_start):
-    limits = ("trainer.frames=400", "evaluation.interval=200", f"env.random_start={random_start}")
+    limits = ("trainer.frames=400", "evaluation.interval=200", f"start.anywhere={random_start}")
     _, together = train(tmp_path / "both", *limits, "trainer.seeds=[3,7]")
     for index, seed in enumerate((3, 7)):
         _, alone = train(tmp_path / f"alone {seed}", *limits, f"seed={seed}")
@@ -178,7 +178,7 @@ def test_a_loss_that_is_not_a_number_stops_the_run(tmp_path):
         CarrlError,
         match=r"the loss is nan at update [\d,]+, frame [\d,]+, of seed 0: the rewards of its minibatch are -?\d+",
     ):
-        train(tmp_path, "optimizer.lr=1e15", "trainer.frames=3000", "env.random_start=true")
+        train(tmp_path, "optimizer.lr=1e15", "trainer.frames=3000", "start.anywhere=true")
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ CIRCUITS = ("track=circuits", "track.count=3", "track.validation=2", "evaluation
 
 
 def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploration(tmp_path):
-    trainer, pipeline = train(tmp_path, *CIRCUITS, "env.random_start=true")
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "start.anywhere=true")
     assert set(load(tmp_path / "train.mcap")["track"].tolist()) == {0, 1, 2}
     names = [track.name for track in pipeline.env.tracks]
     assert names == ["random-1000", "random-1001", "random-1002"]

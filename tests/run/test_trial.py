@@ -4,20 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from carrl.env.reward import Reward
 from carrl.run.evaluation import drive, rule_policy
 from carrl.run.tally import tally
 from carrl.run.trial import Trial
-from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator
-from carrl.sim.track import Track
-from carrl.sim.vehicle import Vehicle
+from tests.worlds import make_world
 
 
 @pytest.fixture(scope="module")
 def lap():
     """A complete lap of the oval by the rule."""
-    (found,) = drive(Simulator(Track.load("oval"), Vehicle(), Sensor()), Reward(), rule_policy)
+    world = make_world("oval")
+    (found,) = drive(world, world.simulator(world.track), rule_policy)
     return found
 
 

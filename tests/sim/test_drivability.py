@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from carrl.env.reward import Reward
+from carrl.env.reward import paper_reward
 from carrl.sim.centreline import Centreline
 from carrl.sim.drivability import Car, metres, tightest_bend, unsuitable
 from carrl.sim.sensor import Sensor
@@ -23,7 +23,7 @@ def polygon(corners: list[tuple[float, float]], width: float) -> Track:
 
 
 def test_the_default_car_is_that_of_the_default_configuration():
-    car, default = Car.of(Vehicle(), Sensor(), Reward().proximity_threshold), Car()
+    car, default = Car.of(Vehicle(), Sensor(), paper_reward().near_wall.threshold), Car()
     assert dataclasses.astuple(car) == pytest.approx(dataclasses.astuple(default), rel=1e-2)
 
 

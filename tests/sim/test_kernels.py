@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,13 @@ from carrl.sim import kernels
 from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.kernels import Kernels
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Outcome, Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.track import Track, builtin_names
-from carrl.sim.vehicle import Action, Bicycle, Vehicle, VehicleModel
+from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
 from tests.sim.shapes import random_poses, random_track
+from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer, tensors
+from tests.sim.vehicles import Interpreted, Odometer
 
 exactly = settings(derandomize=True, deadline=None, max_examples=60)
 TRACKS = [*builtin_names(), *range(3)]
@@ -44,21 +47,16 @@ def both(
     return Simulator(*options), Simulator(*options, compiled=False)
 
 
-def random_cars(simulator: Simulator, count: int, seed: int) -> tuple[State, Tensor]:
-    """Cars anywhere, half of them with the gate next that is, and their actions."""
+def random_cars(simulator: Simulator, count: int, seed: int) -> tuple[CarState, Tensor]:
+    """Cars anywhere, half of them with the gate next that is, and their controls."""
     generator = torch.Generator().manual_seed(seed)
     stations = simulator.track.length * torch.rand(count, generator=generator, dtype=torch.float64)
     state = simulator.start(stations)
     pose = random_poses(simulator.track, count, seed)
     pose[: count // 2] = state.pose[: count // 2] + 0.5 * torch.randn(count // 2, 3, generator=generator)
     gates_passed = torch.randint(100, (count,), generator=generator)
-    return state._replace(pose=pose, gates_passed=gates_passed), torch.randint(
-        len(Action), (count,), generator=generator
-    )
-
-
-def tensors(outcome: Outcome) -> list[Tensor]:
-    return [*outcome.state, *outcome[1:]]
+    actions = torch.randint(len(ACTIONS), (count,), generator=generator)
+    return replace(state, state=pose, gates_passed=gates_passed), steer(actions)
 
 
 def ring_of_walls(corners: int, radius: float) -> Tensor:
@@ -87,12 +85,12 @@ def sense_among(walls: Tensor, angles: Tensor, pose: Tensor, max_range: float = 
 @pytest.mark.parametrize("name", TRACKS)
 def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     compiled, plain = both(track_of(name), Vehicle(speed=speed))
-    state, action = random_cars(plain, 2000, seed=1)
-    ours, theirs = compiled.step(state, action), plain.step(state, action)
+    state, control = random_cars(plain, 2000, seed=1)
+    ours, theirs = compiled.step(state, control), plain.step(state, control)
     # Cosines may differ in their last bit, which moves a rounded coordinate by as much.
-    torch.testing.assert_close(ours.state.pose[:, :2], theirs.state.pose[:, :2], atol=1e-6, rtol=2**-23)
-    assert torch.equal(ours.state.pose[:, 2], theirs.state.pose[:, 2])
-    ends = (pose[:, :2].double() for pose in (state.pose, ours.state.pose))
+    torch.testing.assert_close(ours.cars.pose[:, :2], theirs.cars.pose[:, :2], atol=1e-6, rtol=2**-23)
+    assert torch.equal(ours.cars.pose[:, 2], theirs.cars.pose[:, 2])
+    ends = (pose[:, :2].double() for pose in (state.pose, ours.cars.pose))
     clearance = path_clearance(*ends, plain.track.walls.double())
     assert torch.equal(ours.collided, clearance < plain.vehicle.body_radius)
     decided = (clearance - plain.vehicle.body_radius).abs() > UNDECIDED
@@ -100,16 +98,16 @@ def test_a_step_equals_that_of_torch(name: str | int, speed: float):
     assert ours.gates_passed.any() and ours.collided.any()
     counts = "collided", "gates_passed"
     assert all(torch.equal(getattr(ours, name)[decided], getattr(theirs, name)[decided]) for name in counts)
-    assert torch.equal(ours.state.next_gate[decided], theirs.state.next_gate[decided])
-    assert torch.equal(ours.state.gates_passed[decided], theirs.state.gates_passed[decided])
-    torch.testing.assert_close(ours.ranges, plain.sense(ours.state), atol=1e-5, rtol=0)
+    assert torch.equal(ours.cars.next_gate[decided], theirs.cars.next_gate[decided])
+    assert torch.equal(ours.cars.gates_passed[decided], theirs.cars.gates_passed[decided])
+    torch.testing.assert_close(ours.ranges, plain.sense(ours.cars), atol=1e-5, rtol=0)
 
 
 def test_a_bicycle_steps_as_in_torch():
     compiled, plain = both(Track.load("paper"), Bicycle())
-    state, action = random_cars(plain, 2000, seed=1)
-    ours, theirs = compiled.step(state, action), plain.step(state, action)
-    torch.testing.assert_close(ours.state.pose, theirs.state.pose, atol=1e-5, rtol=0)
+    state, control = random_cars(plain, 2000, seed=1)
+    ours, theirs = compiled.step(state, control), plain.step(state, control)
+    torch.testing.assert_close(ours.cars.pose, theirs.cars.pose, atol=1e-5, rtol=0)
     assert torch.equal(ours.collided, theirs.collided)
     assert torch.equal(ours.gates_passed, theirs.gates_passed)
 
@@ -119,7 +117,7 @@ def test_a_bicycle_steps_as_in_torch():
 def test_ranges_equal_those_of_torch(name: str | int, sensor: Sensor):
     compiled, plain = both(track_of(name), sensor=sensor)
     pose = random_poses(plain.track, 1000, seed=2)
-    cars = State.at(pose)
+    cars = CarState.at(pose)
     torch.testing.assert_close(compiled.sense(cars), plain.sense(cars), atol=1e-5, rtol=0)
 
 
@@ -159,9 +157,9 @@ def test_a_wall_counts_up_to_the_very_range(max_range: float):
 @pytest.mark.parametrize("speed", [1.0, 300.0, 1e4])
 def test_collisions_depend_on_neither_speed_nor_range_of_the_rays(max_range: float, speed: float):
     compiled, plain = both(track_of(0), Vehicle(speed=speed), Sensor(max_range=max_range))
-    state, action = random_cars(plain, 1000, seed=3)
-    outcome = compiled.step(state, action)
-    ends = (pose[:, :2].double() for pose in (state.pose, outcome.state.pose))
+    state, control = random_cars(plain, 1000, seed=3)
+    outcome = compiled.step(state, control)
+    ends = (pose[:, :2].double() for pose in (state.pose, outcome.cars.pose))
     assert torch.equal(outcome.collided, path_clearance(*ends, plain.track.walls.double()) < plain.vehicle.body_radius)
 
 
@@ -170,8 +168,8 @@ def test_collisions_depend_on_neither_speed_nor_range_of_the_rays(max_range: flo
 def test_passing_either_end_of_a_free_standing_wall_closely_collides(end: int, y: float, collided: bool):
     wall = torch.tensor([[2.0, y], [2.0, 5.0]])
     walls = (wall if end == 0 else wall.flip(0))[None]
-    counts = torch.zeros(4, 1, dtype=torch.int64)
-    *_, hit, _ = kernels_among(walls, torch.zeros(1)).step(torch.tensor([[1.5, 0.0, 0.0]]), *counts)
+    counts = torch.zeros(3, 1, dtype=torch.int64)
+    *_, hit, _ = kernels_among(walls, torch.zeros(1)).step(torch.tensor([[1.5, 0.0, 0.0]]), torch.zeros(1, 1), *counts)
     assert hit.item() is collided
 
 
@@ -182,11 +180,11 @@ def test_the_heading_wraps_as_in_torch(half_turns: int, turn_radius: float):
     heading = torch.tensor(half_turns * math.pi) + torch.linspace(-0.2, 0.2, 41)
     heading = torch.cat([heading, torch.tensor(half_turns * math.pi).nextafter(torch.tensor([-9.0, 9.0]))])
     pose = torch.cat([torch.zeros(len(heading), 2), heading[:, None]], dim=1)
-    for action in Action:
-        state = State.at(pose)
+    for action in ACTIONS:
+        state = CarState.at(pose)
         actions = torch.full((len(pose),), action)
-        after = compiled.step(state, actions).state.pose[:, 2]
-        assert torch.equal(after, plain.step(state, actions).state.pose[:, 2])
+        after = compiled.step(state, steer(actions)).cars.pose[:, 2]
+        assert torch.equal(after, plain.step(state, steer(actions)).cars.pose[:, 2])
         assert after.abs().max() <= torch.tensor(math.pi)
 
 
@@ -199,11 +197,11 @@ def test_episodes_end_as_in_torch_after_hundreds_of_steps(name: str):
     ranges, driving = plain.sense(theirs), torch.ones(12, dtype=torch.bool)
     for _ in range(300):
         to_left = ranges[:, 4:].sum(-1) - ranges[:, :3].sum(-1)
-        action = torch.where(to_left > 0.5, Action.LEFT, torch.where(to_left < -0.5, Action.RIGHT, Action.FORWARD))
+        action = torch.where(to_left > 0.5, LEFT, torch.where(to_left < -0.5, RIGHT, FORWARD))
         by_chance = torch.rand(12, generator=generator) < 0.1
         action = torch.where(by_chance, torch.randint(3, (12,), generator=generator), action)
-        new, old = compiled.step(ours, action), plain.step(theirs, action)
-        ours, theirs, ranges = new.state, old.state, old.ranges
+        new, old = compiled.step(ours, steer(action)), plain.step(theirs, steer(action))
+        ours, theirs, ranges = new.cars, old.cars, old.ranges
         assert torch.equal(new.collided[driving], old.collided[driving])
         assert torch.equal(new.gates_passed[driving], old.gates_passed[driving])
         driving &= ~old.collided
@@ -217,47 +215,49 @@ def test_episodes_end_as_in_torch_after_hundreds_of_steps(name: str):
 
 def test_a_car_fares_alone_as_among_a_thousand_bit_for_bit():
     simulator = Simulator(Track.load("serpentine"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 1000, seed=5)
-    together = simulator.step(state, action)
+    state, control = random_cars(simulator, 1000, seed=5)
+    together = simulator.step(state, control)
     for index in range(0, 1000, 7):
         car = slice(index, index + 1)
-        one = State(*(tensor[car] for tensor in state))
-        alone = simulator.step(one, action[car])
+        one = state[car]
+        alone = simulator.step(one, control[car])
         assert all(torch.equal(own, all_[car]) for own, all_ in zip(tensors(alone), tensors(together), strict=True))
         assert torch.equal(simulator.sense(one), simulator.sense(state)[car])
 
 
 def test_outputs_are_new_tensors_of_the_stated_types():
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 5, seed=6)
-    first = simulator.step(state, action)
+    state, control = random_cars(simulator, 5, seed=6)
+    first = simulator.step(state, control)
     kept = [tensor.clone() for tensor in tensors(first)]
-    simulator.step(first.state, action)
+    simulator.step(first.cars, control)
     assert all(map(torch.equal, tensors(first), kept))
     types = [torch.float32, torch.int64, torch.int64, torch.int64, torch.float32, torch.bool, torch.int64]
     assert [tensor.dtype for tensor in tensors(first)] == types
-    assert len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *state, action]}) == 11
+    assert (
+        len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *vars(state).values(), control]}) == 11
+    )
 
 
 def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 6, seed=7)
-    expected = simulator.step(state, action)
-    strided = State(state.pose.T.contiguous().T, *(torch.stack([count, count], 1)[:, 0] for count in state[1:]))
-    assert not any(tensor.is_contiguous() for tensor in strided)
-    wide = State(state.pose.double(), *(count.int() for count in state[1:]))
+    state, control = random_cars(simulator, 6, seed=7)
+    expected = simulator.step(state, control)
+    strided = state.map(lambda values: torch.stack([values, values], -1)[..., 0])
+    assert not any(tensor.is_contiguous() for tensor in vars(strided).values())
+    wide = state.map(lambda values: values.double() if values.is_floating_point() else values.int())
     for other in (strided, wide):
-        outcome = simulator.step(other, action.int())
+        outcome = simulator.step(other, control.double())
         assert all(map(torch.equal, tensors(outcome), tensors(expected)))
         assert torch.equal(simulator.sense(other), simulator.sense(state))
-    assert (len(kernels._step.signatures), len(kernels._sense.signatures)) == (1, 1)
+    assert [len(each.dispatcher.signatures) for each in (kernels._follow, kernels._sense)] == [1, 1]
 
 
 def test_a_pose_that_is_no_number_spoils_nothing_else():
     compiled, plain = both(Track.load("oval"))
-    state, action = random_cars(plain, 6, seed=8)
-    state.pose[[0, 2, 4], [0, 1, 2]] = torch.tensor([math.nan, math.inf, -math.inf])
-    ours, theirs = compiled.step(state, action), plain.step(state, action)
+    state, control = random_cars(plain, 6, seed=8)
+    state.state[[0, 2, 4], [0, 1, 2]] = torch.tensor([math.nan, math.inf, -math.inf])
+    ours, theirs = compiled.step(state, control), plain.step(state, control)
     for one, other in zip(tensors(ours), tensors(theirs), strict=True):
         torch.testing.assert_close(one, other, equal_nan=True, atol=1e-5, rtol=0)
 
@@ -265,22 +265,22 @@ def test_a_pose_that_is_no_number_spoils_nothing_else():
 @pytest.mark.parametrize("short", range(5))
 def test_inputs_of_unequal_numbers_of_cars_are_refused(short: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 3, seed=9)
-    inputs = [tensor[:2] if index == short else tensor for index, tensor in enumerate([*state, action])]
+    state, control = random_cars(simulator, 3, seed=9)
+    inputs = [tensor[:2] if index == short else tensor for index, tensor in enumerate([*vars(state).values(), control])]
     with pytest.raises(ValueError, match="the same number of cars"):
-        simulator.step(State(*inputs[:4]), inputs[4])
-    with pytest.raises(ValueError, match="three values"):
-        simulator.sense(state._replace(pose=state.pose[:, :2]))
+        simulator.step(CarState(*inputs[:4]), inputs[4])
+    with pytest.raises(ValueError, match="begin with a pose"):
+        simulator.sense(replace(state, state=state.pose[:, :2]))
 
 
 @pytest.mark.parametrize("wrong", [-1, 99])
 @pytest.mark.parametrize("field", ["next_gate", "track"])
 def test_a_gate_or_a_track_that_is_not_there_is_refused(field: str, wrong: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 3, seed=9)
-    elsewhere = state._replace(**{field: torch.tensor([0, wrong, 0])})
+    state, control = random_cars(simulator, 3, seed=9)
+    elsewhere = replace(state, **{field: torch.tensor([0, wrong, 0])})
     with pytest.raises(ValueError, match="index is not one of those"):
-        simulator.step(elsewhere, action)
+        simulator.step(elsewhere, control)
     with pytest.raises(ValueError, match="index is not one of those"):
         simulator.sense(elsewhere)
 
@@ -289,8 +289,8 @@ def test_a_gate_or_a_track_that_is_not_there_is_refused(field: str, wrong: int):
 def test_an_action_that_the_car_does_not_have_is_refused(wrong: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
     state, _ = random_cars(simulator, 3, seed=9)
-    with pytest.raises(ValueError, match="an action is not one of those that the car has"):
-        simulator.step(state, torch.tensor([0, wrong, 0]))
+    with pytest.raises(IndexError):
+        simulator.step(state, steer(torch.tensor([0, wrong, 0])))
 
 
 def test_threads_may_step_at_the_same_time():
@@ -306,15 +306,17 @@ def test_threads_may_step_at_the_same_time():
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda simulator: pickle.loads(pickle.dumps(simulator))])
 def test_a_copy_of_a_simulator_steps_like_the_original(copied):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
-    state, action = random_cars(simulator, 4, seed=10)
-    assert all(map(torch.equal, tensors(copied(simulator).step(state, action)), tensors(simulator.step(state, action))))
+    state, control = random_cars(simulator, 4, seed=10)
+    ours, copys = (each.step(state, control) for each in (simulator, copied(simulator)))
+    assert all(map(torch.equal, tensors(ours), tensors(copys)))
 
 
 SENSE_ONCE = """
 import torch
 from carrl.sim import kernels, sensor, simulator, track, vehicle
 car = simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor())
-print(car.sense(simulator.State.at(torch.zeros(1, 3))).tolist(), sum(kernels._sense.stats.cache_hits.values()))
+hits = sum(kernels._sense.dispatcher.stats.cache_hits.values())
+print(car.sense(simulator.CarState.at(torch.zeros(1, 3))).tolist(), hits)
 """
 
 
@@ -325,7 +327,7 @@ def test_several_processes_may_compile_at_once_and_later_ones_do_not(tmp_path: P
     processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     outputs = [process.communicate()[0] for process in processes]
     later = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    ranges = Simulator(Track.load("oval"), Vehicle(), Sensor()).sense(State.at(torch.zeros(1, 3))).tolist()
+    ranges = Simulator(Track.load("oval"), Vehicle(), Sensor()).sense(CarState.at(torch.zeros(1, 3))).tolist()
     assert all(output.startswith(str(ranges)) for output in [*outputs, later])
     assert later.endswith(" 1\n")
 
@@ -347,3 +349,38 @@ simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor()
 print("numba" in sys.modules)
 """
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+# Vehicles without machine code
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_a_vehicle_without_machine_code_steps_in_torch_and_the_same(name: str | int):
+    compiled, interpreted = both(track_of(name))[0], both(track_of(name), Interpreted())[0]
+    state, control = random_cars(compiled, 2000, seed=1)
+    ours, theirs = compiled.step(state, control), interpreted.step(state, control)
+    torch.testing.assert_close(theirs.cars.pose[:, :2], ours.cars.pose[:, :2], atol=1e-6, rtol=2**-23)
+    assert torch.equal(theirs.cars.pose[:, 2], ours.cars.pose[:, 2])
+    ends = (pose[:, :2].double() for pose in (state.pose, ours.cars.pose))
+    clearance = path_clearance(*ends, compiled.track.walls.double())
+    decided = (clearance - compiled.vehicle.body_radius).abs() > UNDECIDED
+    assert decided.float().mean() > 0.99
+    for one, other in zip(
+        tensors(ours)[1:4] + tensors(ours)[5:], tensors(theirs)[1:4] + tensors(theirs)[5:], strict=True
+    ):
+        assert torch.equal(one[decided], other[decided])
+    torch.testing.assert_close(theirs.ranges, interpreted.sense(theirs.cars), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_else_is_in_a_state_is_the_vehicles_own_business(compiled: bool):
+    simulators = [both(Track.load("oval"), vehicle)[0 if compiled else 1] for vehicle in (Odometer(), Interpreted())]
+    cars = [each.start(torch.tensor([0.0, 20.0])) for each in simulators]
+    assert cars[0].state[:, 3].tolist() == [0, 0]
+    for action in (FORWARD, LEFT, RIGHT, LEFT):
+        control = steer(torch.tensor([action, FORWARD]))
+        own, plain = (each.step(state, control) for each, state in zip(simulators, cars, strict=True))
+        cars = [own.cars, plain.cars]
+        assert torch.equal(own.cars.pose, plain.cars.pose)
+        assert all(map(torch.equal, tensors(own)[1:], tensors(plain)[1:]))
+    torch.testing.assert_close(cars[0].state[:, 3], torch.full((2,), 4 * Odometer().step_length))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from carrl.errors import ConfigError
 from carrl.sim.geometry import ray_distances
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
 from tests.reference.scalar_rays import ray_distance
@@ -37,7 +37,7 @@ def assert_equal_to_the_oracle(track: Track, pose_count: int, sensor: Sensor, se
     )
     assert (expected < sensor.max_range).float().mean() > 0.2, "too few rays meet a wall to be a test"
     for compiled in (True, False):
-        ranges = Simulator(track, Vehicle(), sensor, compiled=compiled).sense(State.at(poses))
+        ranges = Simulator(track, Vehicle(), sensor, compiled=compiled).sense(CarState.at(poses))
         assert ranges.dtype == torch.float32
         assert (ranges >= 0).all()
         assert (ranges <= sensor.max_range).all()
@@ -152,8 +152,8 @@ def test_turning_and_moving_car_and_track_together_leaves_the_ranges_equal(seed,
 def test_many_cars_at_once_read_what_each_reads_alone(compiled, seed, count):
     simulator = Simulator(random_track(seed), Vehicle(), Sensor(), compiled=compiled)
     poses = random_poses(simulator.track, count, seed)
-    alone = torch.cat([simulator.sense(State.at(pose[None])) for pose in poses])
-    assert torch.equal(simulator.sense(State.at(poses)), alone)
+    alone = torch.cat([simulator.sense(CarState.at(pose[None])) for pose in poses])
+    assert torch.equal(simulator.sense(CarState.at(poses)), alone)
 
 
 @exactly

@@ -1,6 +1,7 @@
 """Collisions, gates, laps and progress."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,14 +13,15 @@ from torch import Tensor
 
 from carrl.sim.geometry import path_clearance
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Outcome, Simulator, State
+from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.track import Track, builtin_names
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 from tests.reference.scalar_collision import path_distance, segment_distance
 from tests.sim.shapes import as_floats, random_poses, random_track, straight_road_track
+from tests.sim.steering import FORWARD, LEFT, RIGHT, steer, tensors
 
 exactly = settings(derandomize=True, deadline=None, max_examples=50)
-FORWARD = torch.tensor([Action.FORWARD])
+STRAIGHT_ON = steer(torch.tensor([FORWARD]))
 SLOW_AND_AGILE = Vehicle(speed=10.0, time_step=0.05, turn_radius=3.0)
 UNDECIDED = 1e-3
 """Distances this close to the body radius, m, may fall to either side by the rounding of float32."""
@@ -34,8 +36,8 @@ def simulator_of(track: Track, vehicle: Vehicle = SLOW_AND_AGILE, compiled: bool
     return Simulator(track, vehicle, Sensor(rays=1), compiled=compiled)
 
 
-def car(x: float, y: float, heading: float, next_gate: int = 0) -> State:
-    return State.at(torch.tensor([[x, y, heading]]))._replace(next_gate=torch.tensor([next_gate]))
+def car(x: float, y: float, heading: float, next_gate: int = 0) -> CarState:
+    return replace(CarState.at(torch.tensor([[x, y, heading]])), next_gate=torch.tensor([next_gate]))
 
 
 def drive(simulator: Simulator, stations: Tensor, metres: float, way: int = 1) -> list[Outcome]:
@@ -43,17 +45,17 @@ def drive(simulator: Simulator, stations: Tensor, metres: float, way: int = 1) -
     track, vehicle = simulator.track, simulator.vehicle
     state = simulator.start(stations)
     if way < 0:
-        state = state._replace(pose=state.pose + torch.tensor([0, 0, math.pi]))
+        state = replace(state, state=state.pose + torch.tensor([0, 0, math.pi]))
     at, outcomes = stations.double(), []
     for _ in range(math.ceil(metres / vehicle.step_length)):
         at = track.station_near(state.pose[:, :2], at - 2.0, at + 2.0)
         aim = track.pose_at(at + way * 3.0)[:, :2] - state.pose[:, :2]
         bearing = torch.atan2(aim[:, 1], aim[:, 0]) - state.pose[:, 2]
         bearing = torch.remainder(bearing + math.pi, 2 * math.pi) - math.pi
-        action = torch.where(bearing > 0, Action.LEFT.value, Action.RIGHT.value)
-        action = torch.where(bearing.abs() < vehicle.yaw_per_step / 2, Action.FORWARD.value, action)
-        outcomes.append(simulator.step(state, action))
-        state = outcomes[-1].state
+        action = torch.where(bearing > 0, LEFT, RIGHT)
+        action = torch.where(bearing.abs() < vehicle.yaw_per_step / 2, FORWARD, action)
+        outcomes.append(simulator.step(state, steer(action)))
+        state = outcomes[-1].cars
     return outcomes
 
 
@@ -91,9 +93,9 @@ def test_nothing_tunnels_at_any_speed(compiled: bool, seed, magnitude, body_radi
     vehicle = Vehicle(speed=min(10**magnitude, 1e4), body_radius=body_radius)
     simulator = simulator_of(random_track(seed), vehicle, compiled=compiled)
     poses = random_poses(simulator.track, 60, seed)
-    outcome = simulator.step(State.at(poses), torch.zeros(60, dtype=torch.int64))
+    outcome = simulator.step(CarState.at(poses), steer(torch.zeros(60, dtype=torch.int64)))
     walls = as_floats(simulator.track.walls)
-    ways = zip(poses[:, :2].tolist(), outcome.state.pose[:, :2].tolist(), strict=True)
+    ways = zip(poses[:, :2].tolist(), outcome.cars.pose[:, :2].tolist(), strict=True)
     distance = torch.tensor([path_distance(begin, end, walls) for begin, end in ways])
     decided = (distance - body_radius).abs() > UNDECIDED
     assert decided.float().mean() > 0.9
@@ -104,9 +106,9 @@ def test_nothing_tunnels_at_any_speed(compiled: bool, seed, magnitude, body_radi
 def test_nothing_tunnels_on_a_real_circuit(compiled: bool, real_circuits: Path, speed: float):
     simulator = simulator_of(Track.load(real_circuits / "Norisring.csv"), Vehicle(speed=speed), compiled=compiled)
     poses = random_poses(simulator.track, 200, seed=0)
-    outcome = simulator.step(State.at(poses), torch.zeros(200, dtype=torch.int64))
+    outcome = simulator.step(CarState.at(poses), steer(torch.zeros(200, dtype=torch.int64)))
     walls = as_floats(simulator.track.walls)
-    ways = zip(poses[:, :2].tolist(), outcome.state.pose[:, :2].tolist(), strict=True)
+    ways = zip(poses[:, :2].tolist(), outcome.cars.pose[:, :2].tolist(), strict=True)
     distance = torch.tensor([path_distance(begin, end, walls) for begin, end in ways])
     decided = (distance - 0.5).abs() > UNDECIDED
     assert torch.equal(outcome.collided[decided], (distance < 0.5)[decided])
@@ -122,23 +124,23 @@ def test_a_car_that_never_collided_is_on_the_road_whatever_it_did(compiled: bool
     generator = torch.Generator().manual_seed(0)
     state, alive = simulator.start(torch.rand(64, generator=generator) * track.length), torch.ones(64, dtype=torch.bool)
     for _ in range(30):
-        outcome = simulator.step(state, torch.randint(0, 3, (64,), generator=generator))
-        state, alive = outcome.state, alive & ~outcome.collided
+        outcome = simulator.step(state, steer(torch.randint(0, 3, (64,), generator=generator)))
+        state, alive = outcome.cars, alive & ~outcome.collided
         assert all(road.contains(Point(x, y)) for x, y in state.pose[alive, :2].tolist())
     assert not alive.all()
 
 
 @pytest.mark.parametrize(("y", "collided"), [(0.0, False), (4.49, False), (4.51, True), (-4.49, False), (-4.51, True)])
 def test_coming_within_the_body_radius_of_a_wall_collides(compiled: bool, y: float, collided: bool):
-    outcome = simulator_of(straight_road_track(width=10.0), compiled=compiled).step(car(50.0, y, 0.0), FORWARD)
+    outcome = simulator_of(straight_road_track(width=10.0), compiled=compiled).step(car(50.0, y, 0.0), STRAIGHT_ON)
     assert outcome.collided.item() is collided
 
 
 def test_a_step_out_through_one_wall_and_the_next_collides_though_it_ends_far_away(compiled: bool):
     outcome = simulator_of(straight_road_track(), Vehicle(speed=1e4), compiled=compiled).step(
-        car(50.0, 0.0, math.pi / 2), FORWARD
+        car(50.0, 0.0, math.pi / 2), STRAIGHT_ON
     )
-    assert outcome.state.pose[0, 1].item() == pytest.approx(1000.0)
+    assert outcome.cars.pose[0, 1].item() == pytest.approx(1000.0)
     assert outcome.collided.item()
 
 
@@ -149,13 +151,13 @@ def test_a_gate_counts_once_when_crossed_forward_and_the_following_one_counts_ne
     track = straight_road_track()
     gate_x = track.gates[0, :, 0].mean().item()
     simulator = simulator_of(track, compiled=compiled)
-    before = simulator.step(car(gate_x - 1.2, 1.0, 0.0), FORWARD)
-    assert (before.gates_passed.item(), before.state.next_gate.item()) == (0, 0)
-    outcome = simulator.step(car(gate_x - 0.2, 1.0, 0.0), FORWARD)
+    before = simulator.step(car(gate_x - 1.2, 1.0, 0.0), STRAIGHT_ON)
+    assert (before.gates_passed.item(), before.cars.next_gate.item()) == (0, 0)
+    outcome = simulator.step(car(gate_x - 0.2, 1.0, 0.0), STRAIGHT_ON)
     assert outcome.gates_passed.item() == 1
-    assert (outcome.state.next_gate.item(), outcome.state.gates_passed.item()) == (1, 1)
-    after = simulator.step(outcome.state, FORWARD)
-    assert (after.gates_passed.item(), after.state.gates_passed.item()) == (0, 1)
+    assert (outcome.cars.next_gate.item(), outcome.cars.gates_passed.item()) == (1, 1)
+    after = simulator.step(outcome.cars, STRAIGHT_ON)
+    assert (after.gates_passed.item(), after.cars.gates_passed.item()) == (0, 1)
 
 
 def test_going_back_and_forth_over_a_gate_earns_nothing_more(compiled: bool):
@@ -165,8 +167,8 @@ def test_going_back_and_forth_over_a_gate_earns_nothing_more(compiled: bool):
     earned = []
     for turn in range(20):
         back_and_forth = torch.tensor([[gate_x - 0.2, 0.0, 0.0], [gate_x + 0.2, 0.0, math.pi]])[turn % 2]
-        outcome = simulator.step(state._replace(pose=back_and_forth[None]), FORWARD)
-        state = outcome.state
+        outcome = simulator.step(replace(state, state=back_and_forth[None]), STRAIGHT_ON)
+        state = outcome.cars
         earned.append(outcome.gates_passed.item())
     assert earned == [1] + [0] * 19
 
@@ -174,7 +176,7 @@ def test_going_back_and_forth_over_a_gate_earns_nothing_more(compiled: bool):
 def test_a_gate_crossed_backward_does_not_count_even_if_it_is_the_next(compiled: bool):
     track = straight_road_track()
     gate_x = track.gates[0, :, 0].mean().item()
-    outcome = simulator_of(track, compiled=compiled).step(car(gate_x + 0.2, 0.0, math.pi), FORWARD)
+    outcome = simulator_of(track, compiled=compiled).step(car(gate_x + 0.2, 0.0, math.pi), STRAIGHT_ON)
     assert outcome.gates_passed.item() == 0
 
 
@@ -182,7 +184,7 @@ def test_crossing_the_line_of_a_gate_beyond_its_ends_does_not_count(compiled: bo
     track = straight_road_track(width=10.0)
     gate_x = track.gates[0, :, 0].mean().item()
     for y in (-8.0, 8.0, 30.0):  # outside the road, clear of the walls
-        outcome = simulator_of(track, compiled=compiled).step(car(gate_x - 0.2, y, 0.0), FORWARD)
+        outcome = simulator_of(track, compiled=compiled).step(car(gate_x - 0.2, y, 0.0), STRAIGHT_ON)
         assert not outcome.collided.item()
         assert outcome.gates_passed.item() == 0
 
@@ -193,30 +195,30 @@ def test_several_gates_crossed_in_one_step_count_in_order_from_the_next_one(comp
     xs = track.gates[:4, :, 0].mean(dim=1).tolist()
     begin, end = xs[0] - 1, xs[2] + 1
     vehicle = Vehicle(speed=end - begin, time_step=1.0)
-    outcome = simulator_of(track, vehicle, compiled=compiled).step(car(begin, 0.0, 0.0, next_gate), FORWARD)
+    outcome = simulator_of(track, vehicle, compiled=compiled).step(car(begin, 0.0, 0.0, next_gate), STRAIGHT_ON)
     assert not outcome.collided.item()
     assert outcome.gates_passed.item() == 3 - next_gate
-    assert outcome.state.next_gate.item() == 3
+    assert outcome.cars.next_gate.item() == 3
 
 
 def test_the_last_gate_and_the_first_count_together_in_one_step(compiled: bool):
     track = straight_road_track(gate_count=32)
     first_x = track.gates[0, :, 0].mean().item()
     vehicle = Vehicle(speed=first_x + 4, time_step=1.0)
-    outcome = simulator_of(track, vehicle, compiled=compiled).step(car(-2.0, 0.0, 0.0, next_gate=31), FORWARD)
+    outcome = simulator_of(track, vehicle, compiled=compiled).step(car(-2.0, 0.0, 0.0, next_gate=31), STRAIGHT_ON)
     assert outcome.gates_passed.item() == 2
-    assert outcome.state.next_gate.item() == 1
+    assert outcome.cars.next_gate.item() == 1
 
 
 def test_a_step_that_collides_passes_no_gate(compiled: bool):
     track = straight_road_track(gate_count=32)
     gate_x = track.gates[0, :, 0].mean().item()
-    grazing = simulator_of(track, compiled=compiled).step(car(gate_x - 0.2, 4.6, 0.0), FORWARD)
-    far = simulator_of(track, Vehicle(speed=1e4), compiled=compiled).step(car(gate_x - 0.2, 0.0, 0.0), FORWARD)
+    grazing = simulator_of(track, compiled=compiled).step(car(gate_x - 0.2, 4.6, 0.0), STRAIGHT_ON)
+    far = simulator_of(track, Vehicle(speed=1e4), compiled=compiled).step(car(gate_x - 0.2, 0.0, 0.0), STRAIGHT_ON)
     for outcome in (grazing, far):
         assert outcome.collided.item()
         assert outcome.gates_passed.item() == 0
-        assert (outcome.state.next_gate.item(), outcome.state.gates_passed.item()) == (0, 0)
+        assert (outcome.cars.next_gate.item(), outcome.cars.gates_passed.item()) == (0, 0)
 
 
 @exactly
@@ -226,11 +228,11 @@ def test_the_count_of_gates_equals_that_of_one_crossing_at_a_time(compiled: bool
     simulator = simulator_of(track, Vehicle(speed=speed, body_radius=0.01), compiled=compiled)
     generator = torch.Generator().manual_seed(seed)
     start = simulator.start(track.length * torch.rand(30, generator=generator))
-    turned = start._replace(pose=start.pose + 0.1 * torch.randn(30, 3, generator=generator))
-    outcome = simulator.step(turned, torch.zeros(30, dtype=torch.int64))
+    turned = replace(start, state=start.pose + 0.1 * torch.randn(30, 3, generator=generator))
+    outcome = simulator.step(turned, steer(torch.zeros(30, dtype=torch.int64)))
     gates = as_floats(track.gates)
     for index in (~outcome.collided).nonzero().flatten().tolist():
-        begin, end = turned.pose[index, :2].tolist(), outcome.state.pose[index, :2].tolist()
+        begin, end = turned.pose[index, :2].tolist(), outcome.cars.pose[index, :2].tolist()
         count = 0
         while count < gate_count:
             left, right = gates[(turned.next_gate[index].item() + count) % gate_count]
@@ -251,7 +253,7 @@ def test_a_lap_passes_every_gate_once_in_order_from_any_start(name: str):
     outcomes = drive(simulator_of(track), stations, track.length + 3.0)
     assert not any(outcome.collided.any() for outcome in outcomes)
     passed = torch.stack([outcome.gates_passed for outcome in outcomes])
-    following = torch.stack([outcome.state.next_gate for outcome in outcomes])
+    following = torch.stack([outcome.cars.next_gate for outcome in outcomes])
     steps_per_gate = track.length / track.gate_count / SLOW_AND_AGILE.step_length
     for index, first in enumerate(track.next_gate(stations).tolist()):
         passing = passed[:, index].nonzero().flatten()[: track.gate_count]
@@ -265,7 +267,7 @@ def test_a_lap_passes_every_gate_once_in_order_from_any_start(name: str):
 def test_a_second_lap_passes_every_gate_once_more():
     track = Track.load("oval")
     outcomes = drive(simulator_of(track), torch.tensor([10.0]), 2 * track.length)
-    assert outcomes[-1].state.gates_passed.item() == 2 * track.gate_count
+    assert outcomes[-1].cars.gates_passed.item() == 2 * track.gate_count
 
 
 @pytest.mark.parametrize("name", builtin_names())
@@ -276,7 +278,7 @@ def test_driving_the_wrong_way_round_earns_nothing_in_a_whole_lap(name: str):
     outcomes = drive(simulator, stations, track.length + 3.0, way=-1)
     assert not any(outcome.collided.any() for outcome in outcomes)
     assert all((outcome.gates_passed == 0).all() for outcome in outcomes)
-    most = max(simulator.progress(outcome.state, stations).max().item() for outcome in outcomes)
+    most = max(simulator.progress(outcome.cars, stations).max().item() for outcome in outcomes)
     assert most <= 1 / track.gate_count + 1e-6
 
 
@@ -286,7 +288,7 @@ def test_progress_starts_at_zero_grows_with_the_way_and_is_one_after_a_lap(name:
     simulator = simulator_of(track)
     stations = torch.tensor([0.0, 0.1, 0.47, 0.8, 0.9999], dtype=torch.float64) * track.length
     assert simulator.progress(simulator.start(stations), stations).tolist() == pytest.approx([0] * 5, abs=1e-6)
-    states = [outcome.state for outcome in drive(simulator, stations, track.length + 1.0)]
+    states = [outcome.cars for outcome in drive(simulator, stations, track.length + 1.0)]
     progress = torch.stack([simulator.progress(state, stations) for state in states])
     driven = simulator.vehicle.step_length * torch.arange(1, len(states) + 1)[:, None] / track.length
     sample = 0.2 / track.length  # the search along the centreline goes in steps of about 0.1 m
@@ -304,14 +306,14 @@ def test_progress_starts_at_zero_grows_with_the_way_and_is_one_after_a_lap(name:
 def test_progress_half_way_round_is_a_half():
     track = Track.load("oval")
     state = simulator_of(track).start(torch.tensor([0.0]))
-    half_way = state._replace(pose=track.pose_at(torch.tensor([track.length / 2])), gates_passed=torch.tensor([4]))
+    half_way = replace(state, state=track.pose_at(torch.tensor([track.length / 2])), gates_passed=torch.tensor([4]))
     assert simulator_of(track).progress(half_way, torch.tensor([0.0])).item() == pytest.approx(0.5, abs=1e-3)
 
 
 def test_progress_counts_only_as_far_as_the_gates_vouch():
     track = Track.load("oval")
     start = simulator_of(track).start(torch.tensor([0.0]))
-    teleported = start._replace(pose=track.pose_at(torch.tensor([track.length / 2])))
+    teleported = replace(start, state=track.pose_at(torch.tensor([track.length / 2])))
     assert simulator_of(track).progress(teleported, torch.tensor([0.0])).item() <= 1 / track.gate_count
 
 
@@ -322,7 +324,7 @@ def test_progress_is_measured_on_its_own_stretch_where_the_road_comes_close_to_i
     stations = torch.arange(0.0, track.length, 2.0)
     gate_gap = track.length / track.gate_count
     passed = (stations.double() / gate_gap).floor().long()
-    state = State.at(points)._replace(next_gate=passed % track.gate_count, gates_passed=passed)
+    state = replace(CarState.at(points), next_gate=passed % track.gate_count, gates_passed=passed)
     share = simulator.progress(state, torch.zeros(len(stations)))
     torch.testing.assert_close(share * track.length, stations.double(), atol=0.1, rtol=0)
 
@@ -352,13 +354,13 @@ def test_a_car_started_just_short_of_a_gate_on_a_real_circuit_has_not_passed_its
 def test_the_same_call_twice_gives_the_same_result_and_leaves_its_inputs_alone(compiled: bool):
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
     state = simulator.start(torch.linspace(0, 200, 16))
-    kept = [tensor.clone() for tensor in state]
+    kept = state.map(torch.clone)
     action = torch.arange(16) % 3
-    first = simulator.step(state, action)
-    simulator.step(first.state, action)
-    second = simulator.step(state, action)
-    assert all(map(torch.equal, [*first.state, *first[1:]], [*second.state, *second[1:]]))
-    assert all(map(torch.equal, state, kept))
+    first = simulator.step(state, steer(action))
+    simulator.step(first.cars, steer(action))
+    second = simulator.step(state, steer(action))
+    assert all(map(torch.equal, tensors(first), tensors(second)))
+    assert all(map(torch.equal, vars(state).values(), vars(kept).values()))
 
 
 @exactly
@@ -368,27 +370,26 @@ def test_cars_side_by_side_fare_as_each_does_alone(compiled: bool, seed, count, 
     generator = torch.Generator().manual_seed(seed)
     state = simulator.start(simulator.track.length * torch.rand(count, generator=generator))
     action = torch.randint(0, 3, (count,), generator=generator)
-    together = simulator.step(state, action)
+    together = simulator.step(state, steer(action))
     for index in range(count):
-        alone = simulator.step(State(*(tensor[index : index + 1] for tensor in state)), action[index : index + 1])
-        assert all(torch.equal(a[index], b[0]) for a, b in zip(together.state, alone.state, strict=True))
-        assert all(torch.equal(a[index], b[0]) for a, b in zip(together[1:], alone[1:], strict=True))
+        alone = simulator.step(state[index : index + 1], steer(action[index : index + 1]))
+        assert all(torch.equal(a[index], b[0]) for a, b in zip(tensors(together), tensors(alone), strict=True))
 
 
 def test_a_step_reports_the_ranges_of_the_pose_it_ends_in_and_the_stated_types(compiled: bool):
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
-    outcome = simulator.step(simulator.start(torch.zeros(2)), torch.tensor([0, 1]))
-    assert torch.equal(outcome.ranges, simulator.sense(outcome.state))
+    outcome = simulator.step(simulator.start(torch.zeros(2)), steer(torch.tensor([0, 1])))
+    assert torch.equal(outcome.ranges, simulator.sense(outcome.cars))
     assert outcome.ranges.shape == (2, 7)
-    assert [tensor.dtype for tensor in outcome.state] == [torch.float32, *[torch.int64] * 3]
-    assert [tensor.dtype for tensor in outcome[1:]] == [torch.float32, torch.bool, torch.int64]
+    types = [torch.float32, *[torch.int64] * 3, torch.float32, torch.bool, torch.int64]
+    assert [tensor.dtype for tensor in tensors(outcome)] == types
 
 
 def test_no_cars_at_all_make_an_empty_step(compiled: bool):
     simulator = Simulator(Track.load("paper"), Vehicle(), Sensor(), compiled=compiled)
-    outcome = simulator.step(simulator.start(torch.zeros(0)), torch.zeros(0, dtype=torch.int64))
+    outcome = simulator.step(simulator.start(torch.zeros(0)), steer(torch.zeros(0, dtype=torch.int64)))
     assert outcome.ranges.shape == (0, 7)
-    assert simulator.progress(outcome.state, torch.zeros(0)).shape == (0,)
+    assert simulator.progress(outcome.cars, torch.zeros(0)).shape == (0,)
 
 
 def test_lap_steps_is_the_least_number_of_steps_that_covers_the_centreline():

@@ -11,11 +11,12 @@ from carrl.errors import ConfigError, TrackError
 from carrl.sim.centreline import Centreline
 from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator, State
+from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.track import Track, builtin_names
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
 from carrl.sim.wall_grid import MOST_CELLS, WallGrid
 from tests.sim.shapes import random_poses, random_track
+from tests.sim.steering import FORWARD, steer
 
 
 def brute_force_ranges(track: Track, pose: torch.Tensor, sensor: Sensor) -> torch.Tensor:
@@ -30,7 +31,7 @@ def test_ranges_are_those_among_all_walls(name: str | int, max_range: float, com
     sensor = Sensor(max_range=max_range)
     pose = random_poses(track, 300, seed=0)
     pose[0] = torch.tensor([1e6, -1e6, 0.0])  # far off the map
-    ranges = Simulator(track, Vehicle(), sensor, compiled=compiled).sense(State.at(pose))
+    ranges = Simulator(track, Vehicle(), sensor, compiled=compiled).sense(CarState.at(pose))
     torch.testing.assert_close(ranges, brute_force_ranges(track, pose, sensor), atol=1e-5, rtol=0)
 
 
@@ -40,7 +41,7 @@ def test_no_ray_on_a_real_circuit_is_off(real_circuits: Path):
         if track.bridges:
             continue
         pose = random_poses(track, 400, seed=1)
-        ranges = Simulator(track, Vehicle(), sensor).sense(State.at(pose))
+        ranges = Simulator(track, Vehicle(), sensor).sense(CarState.at(pose))
         assert (ranges - brute_force_ranges(track, pose, sensor)).abs().max() < 1e-4, file.name
 
 
@@ -93,18 +94,18 @@ def test_cars_on_different_tracks_drive_as_each_would_alone(compiled: bool):
     state, plans = together.start(stations, own), torch.randint(3, (40, 30), generator=generator)
     outcomes = []
     for actions in plans:
-        outcomes.append(together.step(state, actions))
-        state = outcomes[-1].state
+        outcomes.append(together.step(state, steer(actions)))
+        state = outcomes[-1].cars
     for index, track in enumerate(tracks):
         alone, cars = Simulator(track, Vehicle(), Sensor(), compiled=compiled), own == index
         single = alone.start(stations[cars])
         for actions, outcome in zip(plans, outcomes, strict=True):
-            expected = alone.step(single, actions[cars])
-            single = expected.state
+            expected = alone.step(single, steer(actions[cars]))
+            single = expected.cars
             assert torch.equal(outcome.ranges[cars], expected.ranges)
             assert torch.equal(outcome.collided[cars], expected.collided)
-            assert torch.equal(outcome.state.pose[cars], single.pose)
-            assert torch.equal(outcome.state.next_gate[cars], single.next_gate)
+            assert torch.equal(outcome.cars.pose[cars], single.pose)
+            assert torch.equal(outcome.cars.next_gate[cars], single.next_gate)
         progress = together.progress(state, stations)[cars]
         torch.testing.assert_close(progress, alone.progress(single, stations[cars]), atol=1e-9, rtol=0)
         assert torch.equal(together.has_lapped(state)[cars], alone.has_lapped(single))
@@ -147,8 +148,8 @@ def test_both_roads_of_a_bridge_are_open(turned: str, compiled: bool):
     stations = torch.tensor([sum(stretch) / 2 - 15 for stretch in (track.bridges[0].over, track.bridges[0].under)])
     state = simulator.start(stations)
     for _ in range(60):
-        outcome = simulator.step(state, torch.full((2,), Action.FORWARD))
-        state = outcome.state
+        outcome = simulator.step(state, steer(torch.full((2,), FORWARD)))
+        state = outcome.cars
         assert not outcome.collided.any()
         assert (outcome.ranges == 10).all(), "no wall of the other road is seen"
 

@@ -19,6 +19,7 @@ from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
 from tests.sim.shapes import straight_road_track
+from tests.sim.steering import steer
 
 HEADER = "# x_m,y_m,w_tr_right_m,w_tr_left_m\n"
 SQUARE = "0,0,2,3\n40,0,2,3\n40,40,2,3\n0,40,2,3\n"
@@ -391,9 +392,9 @@ def test_a_triangle_with_walls_wider_than_itself_still_simulates(load_text):
     track = load_text(HEADER + "0,0,50,50\n10,0,50,50\n0,10,50,50\n")
     simulator = Simulator(track, Vehicle(), Sensor(rays=1))
     stations = torch.linspace(0, track.length, 10)
-    outcome = simulator.step(simulator.start(stations), torch.zeros(10, dtype=torch.int64))
+    outcome = simulator.step(simulator.start(stations), steer(torch.zeros(10, dtype=torch.int64)))
     assert ((outcome.ranges >= 0) & (outcome.ranges <= 20)).all()
-    assert simulator.progress(outcome.state, stations).isfinite().all()
+    assert simulator.progress(outcome.cars, stations).isfinite().all()
 
 
 # Real circuits

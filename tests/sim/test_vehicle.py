@@ -8,40 +8,37 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carrl.errors import ConfigError
-from carrl.sim.vehicle import Action, Bicycle, Vehicle, VehicleModel
+from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
+from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer
 
 
-def drive(vehicle: VehicleModel, pose: tuple[float, float, float], *actions: Action) -> list[float]:
+def drive(vehicle: VehicleModel, pose: tuple[float, float, float], *actions: int) -> list[float]:
     state = torch.tensor([pose], dtype=torch.float64)
     for action in actions:
-        state = vehicle.move(state, torch.tensor([action]))
+        state = vehicle.step(state, steer(torch.tensor([action])))
     return state[0].tolist()
-
-
-def test_the_actions_are_numbered_forward_left_right():
-    assert [int(action) for action in (Action.FORWARD, Action.LEFT, Action.RIGHT)] == [0, 1, 2]
 
 
 def test_forward_moves_one_step_length_along_the_heading():
     vehicle = Vehicle(speed=20.0, time_step=0.25)
     assert vehicle.step_length == 5.0
-    assert drive(vehicle, (1.0, 2.0, math.atan2(4, 3)), Action.FORWARD) == pytest.approx([4, 6, math.atan2(4, 3)])
+    assert drive(vehicle, (1.0, 2.0, math.atan2(4, 3)), FORWARD) == pytest.approx([4, 6, math.atan2(4, 3)])
 
 
 def test_left_turns_counter_clockwise_before_it_moves():
     vehicle = Vehicle(speed=10.0, time_step=0.1, turn_radius=6 / math.pi)  # 1 m and 30 degrees a step
     assert vehicle.yaw_per_step == pytest.approx(math.radians(30))
-    assert drive(vehicle, (0.0, 0.0, 0.0), Action.LEFT) == pytest.approx([math.sqrt(3) / 2, 0.5, math.pi / 6])
+    assert drive(vehicle, (0.0, 0.0, 0.0), LEFT) == pytest.approx([math.sqrt(3) / 2, 0.5, math.pi / 6])
 
 
 def test_right_is_the_mirror_image_of_left():
     vehicle = Vehicle(turn_radius=6 / math.pi)
-    assert drive(vehicle, (0.0, 0.0, 0.0), Action.RIGHT) == pytest.approx([math.sqrt(3) / 2, -0.5, -math.pi / 6])
+    assert drive(vehicle, (0.0, 0.0, 0.0), RIGHT) == pytest.approx([math.sqrt(3) / 2, -0.5, -math.pi / 6])
 
 
 def test_left_then_right_restores_the_heading_but_not_the_line():
     vehicle = Vehicle(turn_radius=6 / math.pi)
-    x, y, heading = drive(vehicle, (0.0, 0.0, 0.0), Action.LEFT, Action.RIGHT)
+    x, y, heading = drive(vehicle, (0.0, 0.0, 0.0), LEFT, RIGHT)
     assert [x, y, heading] == pytest.approx([1 + math.sqrt(3) / 2, 0.5, 0.0])
 
 
@@ -49,8 +46,8 @@ def test_the_default_car_yaws_eight_degrees_a_step():
     assert math.degrees(Vehicle().yaw_per_step) == pytest.approx(8, abs=0.05)
 
 
-@pytest.mark.parametrize("action", [Action.LEFT, Action.RIGHT])
-def test_the_polygon_of_the_turning_circle_closes_after_a_full_turn(action: Action):
+@pytest.mark.parametrize("action", [LEFT, RIGHT])
+def test_the_polygon_of_the_turning_circle_closes_after_a_full_turn(action: int):
     sides = 45
     vehicle = Vehicle(speed=10.0, time_step=0.1, turn_radius=sides / (2 * math.pi))
     assert drive(vehicle, (3.0, -2.0, 1.0), *[action] * sides) == pytest.approx([3.0, -2.0, 1.0], abs=1e-9)
@@ -62,15 +59,15 @@ def test_the_polygon_of_the_turning_circle_closes_after_a_full_turn(action: Acti
 def test_the_heading_wraps_to_the_other_side_at_half_a_turn():
     vehicle = Vehicle(turn_radius=6 / math.pi)
     almost = math.radians(170)
-    assert drive(vehicle, (0.0, 0.0, almost), Action.LEFT)[2] == pytest.approx(math.radians(-160))
-    assert drive(vehicle, (0.0, 0.0, -almost), Action.RIGHT)[2] == pytest.approx(math.radians(160))
+    assert drive(vehicle, (0.0, 0.0, almost), LEFT)[2] == pytest.approx(math.radians(-160))
+    assert drive(vehicle, (0.0, 0.0, -almost), RIGHT)[2] == pytest.approx(math.radians(160))
 
 
 @settings(derandomize=True, deadline=None, max_examples=200)
-@given(st.floats(-1e3, 1e3, width=32), st.floats(0.1, 1e4), st.sampled_from(list(Action)))
+@given(st.floats(-1e3, 1e3, width=32), st.floats(0.1, 1e4), st.sampled_from(ACTIONS))
 def test_the_heading_stays_within_half_a_turn_of_zero_and_points_along_the_way(heading, speed, action):
     vehicle = Vehicle(speed=speed)
-    pose = vehicle.move(torch.tensor([[0.0, 0.0, heading]]), torch.tensor([action]))
+    pose = vehicle.step(torch.tensor([[0.0, 0.0, heading]]), steer(torch.tensor([action])))
     x, y, after = pose[0].tolist()
     assert pose.dtype == torch.float32
     assert abs(after) <= torch.tensor(math.pi).item()
@@ -82,15 +79,15 @@ def test_the_heading_stays_within_half_a_turn_of_zero_and_points_along_the_way(h
 
 def test_cars_side_by_side_each_follow_their_own_action():
     pose = torch.tensor([[0.0, 0.0, 0.0]] * 3)
-    together = Vehicle().move(pose, torch.tensor([0, 1, 2]))
-    alone = torch.cat([Vehicle().move(pose[:1], torch.tensor([action])) for action in range(3)])
+    together = Vehicle().step(pose, steer(torch.tensor([0, 1, 2])))
+    alone = torch.cat([Vehicle().step(pose[:1], steer(torch.tensor([action]))) for action in range(3)])
     assert torch.equal(together, alone)
     assert together[:, 1].sign().tolist() == [0, 1, -1]
 
 
 def test_moving_leaves_the_given_pose_as_it_was():
     pose = torch.tensor([[1.0, 2.0, 3.0]])
-    Vehicle().move(pose, torch.tensor([1]))
+    Vehicle().step(pose, steer(torch.tensor([1])))
     assert pose.tolist() == [[1.0, 2.0, 3.0]]
 
 
@@ -116,7 +113,7 @@ def test_a_turning_bicycle_drives_the_circle_of_its_closed_form(speed: float, st
     y = -1.0 * math.sin(heading) + side * rear_to_centre * math.cos(heading)
     radius = math.hypot(rear_to_centre, 1.0)
     assert car.turn_radius == pytest.approx(radius)
-    action = Action.LEFT if side > 0 else Action.RIGHT
+    action = LEFT if side > 0 else RIGHT
     for steps in range(60):
         at_x, at_y, after = drive(car, (0.0, 0.0, heading), *[action] * steps)
         angle = side * steps * car.step_length / radius
@@ -127,14 +124,14 @@ def test_a_turning_bicycle_drives_the_circle_of_its_closed_form(speed: float, st
 
 
 def test_a_bicycle_that_does_not_steer_drives_straight_on():
-    assert drive(Bicycle(speed=20.0), (1.0, 2.0, math.atan2(3, 4)), Action.FORWARD) == pytest.approx(
+    assert drive(Bicycle(speed=20.0), (1.0, 2.0, math.atan2(3, 4)), FORWARD) == pytest.approx(
         [2.6, 3.2, math.atan2(3, 4)]
     )
 
 
 def test_a_bicycle_moves_alike_in_short_and_in_long_steps():
-    coarse = drive(Bicycle(time_step=0.4), (0.0, 0.0, 0.0), Action.LEFT)
-    assert drive(Bicycle(time_step=0.1), (0.0, 0.0, 0.0), *[Action.LEFT] * 4) == pytest.approx(coarse)
+    coarse = drive(Bicycle(time_step=0.4), (0.0, 0.0, 0.0), LEFT)
+    assert drive(Bicycle(time_step=0.1), (0.0, 0.0, 0.0), *[LEFT] * 4) == pytest.approx(coarse)
 
 
 @pytest.mark.parametrize("parameter", ["speed", "time_step", "wheelbase", "steering_angle", "body_radius"])

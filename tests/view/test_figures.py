@@ -14,13 +14,15 @@ from carrl.sim.centreline import Centreline
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action, Vehicle
+from carrl.sim.vehicle import Vehicle
+from carrl.view.action_colours import action_colours
 from carrl.view.close_up import draw_close_up
 from carrl.view.curve_panel import DOT, block_centres, common_bounds
 from carrl.view.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_figure
-from carrl.view.lap import ACTION_COLOURS, draw_lap, prevailing_actions, ray_ends, same_action_stretches
+from carrl.view.lap import draw_lap, prevailing_actions, ray_ends, same_action_stretches
 from carrl.view.learning_curve import RunCurve, block_means, draw_learning_curve, draw_learning_curves
 from carrl.view.track_map import GATE, ROAD, draw_track_map, round_number
+from tests.sim.steering import LEFT, steer
 
 
 def pixels_of(path, colour, tolerance=6):
@@ -51,8 +53,8 @@ def drive(track, choose, steps=400):
     for step in range(steps):
         ranges.append(simulator.sense(state))
         actions.append(choose(step, ranges[-1]))
-        outcome = simulator.step(state, actions[-1])
-        state = outcome.state
+        outcome = simulator.step(state, steer(actions[-1]))
+        state = outcome.cars
         poses.append(state.pose)
         if outcome.collided or state.gates_passed >= track.gate_count:
             break
@@ -68,7 +70,10 @@ def rule(_, ranges):
 
 def draw(path, track, poses, ranges, actions, **options):
     angles = Sensor().angles.numpy()
-    draw_lap(path, track, poses, ranges, angles, actions, body_radius=0.5, title="a drive", **options)
+    names = ("forward", "left", "right")
+    draw_lap(
+        path, track, poses, ranges, angles, actions, action_names=names, body_radius=0.5, title="a drive", **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -187,14 +192,14 @@ def test_a_lap_shows_road_gates_line_rays_and_cars(tmp_path, paper, lap):
     assert width == 910
     assert 500 < height < 1000
     assert pixels_of(tmp_path / "lap.png", ROAD) > 50_000
-    for colour in (*ACTION_COLOURS.values(), GREEN, YELLOW):
+    for colour in (*action_colours(3), GREEN, YELLOW):
         assert pixels_of(tmp_path / "lap.png", colour) > 50
 
 
 def test_an_action_that_was_never_chosen_is_in_the_legend_only(tmp_path, paper, lap):
     poses, ranges, actions = lap
     draw(tmp_path / "both.png", paper, poses, ranges, actions)
-    draw(tmp_path / "left.png", paper, poses, ranges, np.full_like(actions, Action.LEFT))
+    draw(tmp_path / "left.png", paper, poses, ranges, np.full_like(actions, LEFT))
     assert pixels_of(tmp_path / "both.png", BLUE) > 2 * pixels_of(tmp_path / "left.png", BLUE)
 
 

@@ -13,14 +13,13 @@ from carrl.env.rendering.brush import FINE
 from carrl.env.rendering.palette import CAR, CRASH, ROAD, TRAIL, TYRE
 from carrl.env.rendering.projection import Floats, Projection, placed
 from carrl.env.rendering.scene import Scene
-from carrl.sim.vehicle import Action
 
 # In body radii, nose to +x.
 _HULL = np.array([[-0.92, -0.4], [-0.92, 0.4], [0.45, 0.42], [0.95, 0.2], [0.95, -0.2], [0.45, -0.42]])
 _SCREEN = np.array([[-0.05, -0.3], [-0.05, 0.3], [0.3, 0.24], [0.3, -0.24]])
 _TYRE = np.array([[-0.22, -0.11], [-0.22, 0.11], [0.22, 0.11], [0.22, -0.11]])
 _AXLES = ((-0.55, -0.48), (-0.55, 0.48), (0.5, -0.48), (0.5, 0.48))
-_WHEEL_ANGLE = {Action.FORWARD: 0.0, Action.LEFT: 0.45, Action.RIGHT: -0.45}
+_WHEEL_ANGLE = 0.45
 
 
 def draw_trail(surface: pygame.Surface, view: Projection, trail: Sequence[Floats]) -> None:
@@ -36,7 +35,7 @@ def draw_car(surface: pygame.Surface, view: Projection, scene: Scene, body_radiu
     middle, colour = view(scene.pose[:2]).tolist(), CRASH if scene.collided else CAR
     pygame.draw.circle(surface, ROAD.lerp(colour, 0.5), middle, radius * view.scale, FINE)
     for x, y in _AXLES:
-        angle = _WHEEL_ANGLE[Action(scene.last_action)] if x > 0 else 0.0
+        angle = _WHEEL_ANGLE * scene.steer if x > 0 else 0.0
         tyre = placed(_TYRE, np.array([x, y, angle]))
         pygame.draw.polygon(surface, TYRE, view(placed(radius * tyre, scene.pose)).tolist())
     pygame.draw.polygon(surface, colour, view(placed(radius * _HULL, scene.pose)).tolist())

@@ -13,7 +13,6 @@ from carrl.env.rendering.projection import Floats, Projection, Size
 from carrl.env.rendering.scene import CarLook, Scene
 from carrl.env.rendering.track_map import TrackMap
 from carrl.sim.track import Track
-from carrl.sim.vehicle import Action
 
 LEAST_VIEW = 24.0
 """Height of what the picture shows, m; more where the rays reach farther."""
@@ -107,7 +106,7 @@ class FollowPicture:
             ("gates", f"{scene.gates_passed % gates} of {gates}"),
             ("laps", f"{scene.gates_passed // gates}"),
             ("return", f"{scene.episode_return:,.0f}"),
-            ("action", Action(scene.last_action).name.lower()),
+            ("action", scene.action),
         )
         panel = pygame.Rect((MARGIN, MARGIN), _FIGURES_SIZE)
         draw_panel(self._picture, panel)

@@ -19,7 +19,8 @@ class Scene:
         next_gate: index of the gate that counts next.
         gates_passed: since the start.
         step: steps since the start.
-        last_action: a value of `Action`.
+        steer: how far the wheel is turned, -1 right to 1 left.
+        action: what the last action is called.
         episode_return: sum of the rewards since the start.
         collided: the car touched a wall in the last step.
         trail: where the car was before, oldest first, [T, 2], m.
@@ -31,7 +32,8 @@ class Scene:
     next_gate: int
     gates_passed: int
     step: int
-    last_action: int
+    steer: float
+    action: str
     episode_return: float
     collided: bool = False
     trail: Sequence[Floats] = ()

@@ -113,9 +113,9 @@ LAP_REWARD = Measure(
     value=_of_best_drive("lap_reward"),
     scale=(
         "track",
-        "reward.collision",
-        "reward.proximity",
-        "reward.gate",
+        "reward.collision.weight",
+        "reward.proximity.weight",
+        "reward.gate.weight",
     ),  # the paper's rewards; turns cost nothing here
 )
 FINAL_RETURN = Measure(

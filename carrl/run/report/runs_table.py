@@ -2,14 +2,14 @@
 
 import math
 
+from carrl.env.world import World
 from carrl.errors import ConfigError
 from carrl.run.best_lap import find_best_lap
-from carrl.run.build import World, build_world
+from carrl.run.build import build_world
 from carrl.run.evaluation import Drive
 from carrl.run.report.reading import RunResult
 from carrl.run.report.summary_file import missing_lap
 from carrl.run.report.tables import markdown
-from carrl.sim.simulator import Simulator
 
 HEADER = (
     "run",
@@ -52,14 +52,14 @@ def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
     if differing is not None:
         raise ConfigError(f"'{runs[0].label}' and '{differing}' were not trained with the same track, car and sensors")
     world = worlds[0]
-    return find_best_lap(Simulator(world.track, world.vehicle, world.sensor), world.reward, bin_size)
+    return find_best_lap(world, bin_size)
 
 
 def _alike(world: World, other: World) -> bool:
     """Whether the same laps are possible without a step near a wall."""
-    distances = [each.sensor.max_range * each.reward.proximity_threshold for each in (world, other)]
+    distances = [each.sensor.max_range * each.reward.near_wall.threshold for each in (world, other)]
     tracks = [[track.as_dict() for track in each.circuits.training] for each in (world, other)]
-    same = tracks[0] == tracks[1] and world.vehicle == other.vehicle
+    same = tracks[0] == tracks[1] and (world.vehicle, world.action) == (other.vehicle, other.action)
     fans = [(each.sensor.rays, each.sensor.field_of_view) for each in (world, other)]
     return same and fans[0] == fans[1] and math.isclose(*distances, rel_tol=1e-4)
 

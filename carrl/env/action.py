@@ -1,0 +1,165 @@
+"""Action maps: what an agent chooses among, and which controls of the vehicle that means.
+
+Shapes: `N` cars, `C` controls, `A` discrete actions.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded, Categorical, TensorSpec
+
+from carrl.errors import ConfigError
+from carrl.sim.vehicle import VehicleModel
+
+
+class ActionMap(Protocol):
+    """From the actions of N agents to the controls of their cars."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """What the actions are called; none where they are numbers."""
+
+    @property
+    def control_names(self) -> Sequence[str]:
+        """Of the controls that it sets, C of them, in their order."""
+
+    @property
+    def spec(self) -> TensorSpec:
+        """Of one car's action: `Categorical`, or `Bounded` for floats."""
+
+    @property
+    def features(self) -> int:
+        """Values that `encode` makes of an action."""
+
+    @property
+    def first(self) -> Tensor:
+        """What counts as the action before the first one of an episode; of the spec's shape and type."""
+
+    def controls(self, action: Tensor) -> Tensor:
+        """The controls [N, C], float32, each in [-1, 1]; of actions [N, ...] within the spec."""
+
+    def encode(self, action: Tensor) -> Tensor:
+        """An action as a network may read it, [N, `features`], float32."""
+
+
+@dataclass(frozen=True)
+class DiscreteActions:
+    """Some actions, each of which is one setting of the controls.
+
+    Attributes:
+        names: what the actions are called, A of them; the first one counts as the one before an episode's first.
+        settings: for each control of the vehicle its value in every action, A numbers in [-1, 1].
+    """
+
+    names: Sequence[str]
+    settings: Mapping[str, Sequence[float]]
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError unless there are actions, of different names, each with a value for every control."""
+        if not self.names or len(set(self.names)) < len(self.names):
+            raise ConfigError(f"action.names is {list(self.names)}; it must name at least one action, none twice")
+        for control, values in self.settings.items():
+            if len(values) != len(self.names) or not all(_is_setting(value) for value in values):
+                raise ConfigError(
+                    f"action.settings.{control} is {list(values)}; it must have a number within -1 and 1 "
+                    f"for each of {', '.join(self.names)}"
+                )
+
+    @property
+    def control_names(self) -> Sequence[str]:
+        """Of the settings."""
+        return tuple(self.settings)
+
+    @property
+    def spec(self) -> TensorSpec:
+        """Indices into `names`."""
+        return Categorical(len(self.names), dtype=torch.int64)
+
+    @property
+    def features(self) -> int:
+        """As many as there are actions."""
+        return len(self.names)
+
+    @property
+    def first(self) -> Tensor:
+        """The first one."""
+        return torch.tensor(0)
+
+    def controls(self, action: Tensor) -> Tensor:
+        """The settings of the actions [N], int64.
+
+        Raises:
+            IndexError: there is no such action.
+        """
+        return self._table.to(action.device).index_select(0, action)
+
+    def encode(self, action: Tensor) -> Tensor:
+        """One-hot."""
+        return (action[:, None] == torch.arange(len(self.names), device=action.device)).float()
+
+    @cached_property
+    def _table(self) -> Tensor:
+        return torch.tensor(list(zip(*self.settings.values(), strict=True)), dtype=torch.float32)
+
+
+@dataclass(frozen=True)
+class ContinuousActions:
+    """Every control on its own, as a number within -1 and 1.
+
+    Attributes:
+        control_names: of the vehicle's controls, C of them.
+    """
+
+    control_names: Sequence[str]
+
+    @property
+    def names(self) -> Sequence[str]:
+        """None."""
+        return ()
+
+    @property
+    def spec(self) -> TensorSpec:
+        """Within -1 and 1, [C]."""
+        return Bounded(-1.0, 1.0, shape=(len(self.control_names),), dtype=torch.float32)
+
+    @property
+    def features(self) -> int:
+        """As many as there are controls."""
+        return len(self.control_names)
+
+    @property
+    def first(self) -> Tensor:
+        """All at 0."""
+        return torch.zeros(len(self.control_names))
+
+    def controls(self, action: Tensor) -> Tensor:
+        """The actions themselves [N, C], cut off at -1 and 1."""
+        return action.clamp(-1, 1)
+
+    def encode(self, action: Tensor) -> Tensor:
+        """The action itself."""
+        return action
+
+
+def steer3() -> DiscreteActions:
+    """The paper's: straight on, full left, full right."""
+    return DiscreteActions(("forward", "left", "right"), {"steer": (0.0, 1.0, -1.0)})
+
+
+def check_fits(action: ActionMap, vehicle: VehicleModel) -> None:
+    """Raises ConfigError unless the actions set just the controls that the vehicle has, in their order."""
+    names = tuple(action.control_names)
+    if names != vehicle.control_names:
+        raise ConfigError(
+            f"action sets {', '.join(names) or 'nothing'}; the vehicle {type(vehicle).__name__} is controlled by "
+            f"{', '.join(vehicle.control_names)}, in this order"
+        )
+
+
+def _is_setting(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and -1 <= value <= 1
