@@ -82,8 +82,8 @@ def _option(path: Path, is_default: bool) -> Iterator[str]:
 
 def _terms(path: Path) -> Iterator[tuple[str, str, str]]:
     """What the terms of an observation or a reward are called and built by, and what is said of each."""
-    found = re.findall(r"^(\w+):\n  _target_: (\S+)(?: +# (.*))?$", path.read_text(), flags=re.MULTILINE)
-    for name, target, comment in found if "@package" not in path.read_text() else ():
+    found = re.findall(r"^(\w+):(?: +# (.*))?\n  _target_: (\S+)$", path.read_text(), flags=re.MULTILINE)
+    for name, comment, target in found if "@package" not in path.read_text() else ():
         yield name, target, f": {comment}" if comment else ""
 
 

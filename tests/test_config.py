@@ -77,7 +77,7 @@ def test_every_key_has_a_comment_with_its_unit_or_effect(leaf):
         assert "#" in text or yaml.safe_load(text)
         return
     for line in text.splitlines():
-        if line and line[0] not in "#_" and not line.startswith("name_or_path"):
+        if line and line.strip()[0] not in "#_" and not line.startswith("name_or_path"):
             assert "  # " in line, f"{leaf}: {line}"
 
 
