@@ -151,6 +151,14 @@ def steer3() -> DiscreteActions:
     return DiscreteActions(("forward", "left", "right"), {"steer": (0.0, 1.0, -1.0)})
 
 
+def in_words(actions: ActionMap) -> str:
+    """What an action may be, such as "0 forward, 1 left or 2 right"."""
+    if not actions.names:
+        return f"a finite number for each of {', '.join(actions.control_names)}, -1 to 1"
+    *others, last = (f"{number} {name}" for number, name in enumerate(actions.names))
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def check_fits(action: ActionMap, vehicle: VehicleModel) -> None:
     """Raises ConfigError unless the actions set just the controls that the vehicle has, in their order."""
     names = tuple(action.control_names)

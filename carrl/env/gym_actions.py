@@ -11,7 +11,7 @@ import torch
 from gymnasium.error import InvalidAction
 from torch import Tensor
 
-from carrl.env.action import ActionMap
+from carrl.env.action import ActionMap, in_words
 from carrl.errors import ConfigError, shown
 
 
@@ -79,10 +79,7 @@ def _as_tensor(given: np.ndarray, actions: ActionMap) -> Tensor:
 
 
 def _wanted(actions: ActionMap) -> str:
-    if not actions.names:
-        return f"a finite number for each of {', '.join(actions.control_names)}, -1 to 1"
-    *others, last = (f"{number} {name}" for number, name in enumerate(actions.names))
-    return f"the whole number {', '.join(others)} or {last}" if others else f"the whole number {last}"
+    return f"the whole number {in_words(actions)}" if actions.names else in_words(actions)
 
 
 def _all_wanted(cars: int, actions: ActionMap) -> str:

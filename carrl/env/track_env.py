@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from carrl.env.action import ActionMap
+from carrl.env.action import ActionMap, in_words
 from carrl.env.checks import seed_list, seed_number
 from carrl.env.episode import EpisodeState
 from carrl.env.observation import Observation
@@ -190,7 +190,7 @@ class TrackEnv(EnvBase):
             ConfigError: they are of another kind, or not one for each car.
         """
         if action.dtype is torch.bool or action.is_floating_point() is not last.is_floating_point():
-            raise ConfigError(f"action is of {action.dtype}; it must be of {last.dtype}: {self._allowed}")
+            raise ConfigError(f"action is of {action.dtype}; it must be of {last.dtype}: {in_words(self.task.action)}")
         if action.shape != last.shape:
             raise ConfigError(f"action has the shape {list(action.shape)}; it must have {list(last.shape)}")
         return action.to(last.dtype)
@@ -201,14 +201,8 @@ class TrackEnv(EnvBase):
         wrong = ((action < 0) | (action >= len(names))).nonzero() if names else action[:0]
         if len(wrong):
             car = int(wrong[0])
-            return ConfigError(f"action of car {car} is {int(action[car])}; it must be {self._allowed}")
+            return ConfigError(f"action of car {car} is {int(action[car])}; it must be {in_words(self.task.action)}")
         return ConfigError(f"{error}; the state is none that this environment returned, so reset the cars")
-
-    @property
-    def _allowed(self) -> str:
-        """What an action may be, as the end of a sentence."""
-        names, controls = self.task.action.names, self.task.action.control_names
-        return ", ".join(f"{number} {name}" for number, name in enumerate(names)) or f"{', '.join(controls)}, -1 to 1"
 
     def _begin(self, begun: Begun, cars: Tensor | None = None) -> TensorDict:
         """All cars, or these [K], at the start of an episode, not done; zeros elsewhere."""

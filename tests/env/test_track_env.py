@@ -391,7 +391,7 @@ def test_a_gate_that_the_track_does_not_have_is_refused():
 @pytest.mark.parametrize("column", range(3))
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_car_whose_pose_is_not_finite_terminates_and_the_others_drive(value, column, compiled):
-    env = TrackEnv(num_envs=2, reward=Reward(approach=0.5))
+    env = TrackEnv(num_envs=2, reward=Reward({**paper_reward().terms, "shaping": Shaping(0.5)}))
     if not compiled:
         env.simulator._kernels = None
     pose = env.reset()["pose"]
