@@ -128,6 +128,27 @@ def test_an_experiment_file_of_ones_own_is_checked_as_what_is_typed(flags, empty
     assert refused(capsys, "train", *flags, "experiment=again", *TINY) == says
 
 
+@pytest.mark.parametrize("flags", [[], ["-m"]])
+def test_an_experiment_file_that_cannot_be_read_is_one_sentence(flags, empty_folder, capsys):
+    experiments = empty_folder / "mine" / "experiment"
+    experiments.mkdir(parents=True)
+    (experiments / "open.yaml").write_text("# @package _global_\nseed: [\n")
+    (experiments / "pair.yaml").write_text("# @package _global_\n? [seed, device]\n: 3\n")
+    (experiments / "dangling.yaml").write_text("# @package _global_\nseed: ${nowhere}\n")
+    typed = ["train", "--config-dir", "mine", *flags]
+    for name in ("open", "pair"):
+        says = refused(capsys, *typed, f"experiment={name}")
+        assert says.startswith("a file of the configuration is no YAML that Hydra reads: while ")
+        assert f"{name}.yaml" in says
+    assert "'nowhere' not found" in refused(capsys, *typed, "experiment=dangling")
+
+
+@pytest.mark.parametrize("typed", ["resume=", "+resume=", "resume=''"])
+def test_a_resume_of_nothing_is_answered_with_what_it_lacks(typed, capsys, empty_folder):
+    assert refused(capsys, "train", typed) == "resume= lacks its value; write resume=RUN, with the folder of a run"
+    assert list(empty_folder.iterdir()) == []
+
+
 def test_the_known_keys_are_those_of_the_configuration():
     content = yaml.safe_load((config_dir() / "train.yaml").read_text())
     groups = {key for each in content["defaults"] if isinstance(each, dict) for key in each if " " not in key}
