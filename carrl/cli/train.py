@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from carrl.cli.known_keys import explain
-from carrl.cli.overrides import Arguments, named_overrides, readable_overrides, sort_arguments, unquote
+from carrl.cli.overrides import Arguments, check_is_read, named_overrides, readable_overrides, sort_arguments, unquote
 from carrl.cli.plain import plain
 from carrl.cli.records import HYDRA, OVERRIDES, write_records
 from carrl.cli.sweep import FLAGS, sweep
@@ -41,7 +41,8 @@ def main(argv: list[str]) -> int:
     if run is not None:
         return _resume(run, typed)
     is_sweep = any(flag in FLAGS for flag in (*typed.flags, *typed.overrides))
-    arguments = [*typed.flags, *readable_overrides(typed.overrides, is_sweep)]
+    overrides = readable_overrides(typed.overrides, is_sweep)
+    arguments = [*typed.flags, *overrides]
     if is_sweep:
         return sweep(arguments, _run_hydra)
     failures: list[CarrlError] = []
@@ -50,6 +51,7 @@ def main(argv: list[str]) -> int:
         path = Path(HydraConfig.get().runtime.output_dir)
         try:
             values = plain(config)
+            check_is_read(overrides, values)
             from carrl.cli.training import train
 
             with locked(path):

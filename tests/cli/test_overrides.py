@@ -64,6 +64,9 @@ IGNORED_ONCE = [
     (["+hydra.run.foo=x"], "there is no key hydra.run.foo; carrl train --cfg hydra shows all there are"),
     (["hydra.sweep.dir=x"], "hydra.sweep.dir=x has no effect on a single run; add -m, or write hydra.run.dir="),
     (["hydra/launcher=basic"], "hydra/launcher=basic has no effect on a single run; add -m"),
+    (["seed=3", "trainer.seeds=[4..5]"], "seed=3 has no effect beside trainer.seeds=['4..5'], which names the seed of"),
+    (["experiment=tune", "seed=3"], "seed=3 has no effect beside trainer.seeds=['0..2'], which names the seed of"),
+    (["-m", "seed=0,1", "trainer.seeds=[4..5]"], "seed=0,1 has no effect beside trainer.seeds=['4..5']"),
     (["-m", "hydra.run.dir=x"], "hydra.run.dir=x has no effect on a sweep; write hydra.sweep.dir=, or leave -m out"),
     (["resume=a", "resume=b"], "resume= is given 2 times; one run is resumed at a time"),
     (["--seed", "3"], "carrl train has no flag --seed; write seed=3"),
@@ -174,6 +177,11 @@ def test_flags_may_stand_anywhere():
 def test_a_sweep_with_its_flag_last_trains_every_job(empty_folder):
     assert main(["train", *TINY, "seed=0,1", "hydra.sweep.dir=many", "-m"]) == 0
     assert sorted(path.name for path in (empty_folder / "many").glob("seed=*")) == ["seed=0", "seed=1"]
+
+
+def test_a_seed_counts_for_the_job_of_a_sweep_that_has_no_others(empty_folder):
+    assert main(["train", "-m", *TINY, "seed=3", "trainer.seeds=[4..5],null", "hydra.sweep.dir=s"]) == 0
+    assert (empty_folder / "s" / "trainer.seeds=null" / "summary.json").exists()
 
 
 def test_a_folder_with_an_equals_sign_in_its_name_needs_no_quotes(empty_folder):
