@@ -11,6 +11,7 @@
 #   episode ended). Grouping by such a name makes a new group every few steps, because the
 #   repr holds an address; comparing it with a known name is always false.
 # Way out: keep texts in an attribute of the environment, or send a number and look the name up.
+# (packaging is installed by name: the wrapper imports it, the extra gymnasium[torch] forgets it.)
 set -euo pipefail
 unset PYTHONPATH
 work=$(mktemp -d)
