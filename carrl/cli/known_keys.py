@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 from hydra.errors import MissingConfigException
+from yaml import YAMLError
 
 from carrl.config import TARGETS, config_dir
 from carrl.errors import ConfigError, shown
@@ -48,6 +49,8 @@ def check_keys(config: Mapping[str, Any]) -> None:
 def explain(error: Exception) -> str:
     """What Hydra's error says, in one sentence, with what was meant if that can be guessed."""
     text = " ".join(str(error).split())
+    if isinstance(error, YAMLError):
+        return f"a file of the configuration is no YAML that Hydra reads: {text}"
     missing = re.match(r"(?:In '[^']*': )?Could not find '([^']*)/([^']*)'", text)
     if isinstance(error, MissingConfigException) and missing and error.options:
         group, option = missing.groups()

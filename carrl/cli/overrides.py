@@ -3,15 +3,15 @@
 import os
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from carrl.cli.known_keys import did_you_mean, nearest_keys, no_such_option, options_with
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
@@ -33,6 +33,11 @@ _HYDRA_TAKES = re.compile(
     r"(job\.(env_set|config)|sweeper|launcher|callbacks|job_logging|hydra_logging)\.)"
 )
 """What of Hydra's own may be added with +; it would take all else, too, and not read it."""
+_IN_THE_SIMULATOR = re.compile(
+    r"(exploration|evaluation|collector|recorder)(\.|$)|env\.(?!observe_action$)|"
+    r"trainer\.(frames|episodes|frames_per_update)$"
+)
+"""What a run that learns from logs does not read."""
 _ITEM = re.compile(
     r"""\s*(?:'(?P<single>(?:\\.|[^'\\])*)'|"(?P<double>(?:\\.|[^"\\])*)"|(?P<plain>[^,]*?))\s*(?:,|$)"""
 )
@@ -148,6 +153,34 @@ def _check_effect(override: "Override", is_sweep: bool | None) -> None:
     if not is_sweep and override.is_sweep_override():
         remedy = "choose one" if is_sweep is None else "add -m to train with each"
         raise ConfigError(f"{typed} has several values; {remedy}, or write a list as {key}=[A,B]")
+
+
+def check_is_read(overrides: Sequence[str], config: Mapping[str, Any]) -> None:
+    """Raises ConfigError for an override of what a run with this configuration does not read, though others do.
+
+    Args:
+        overrides: as Hydra reads them, without flags; one that has several values counts for nothing here.
+        config: what the run, or the first of a sweep, is made from.
+    """
+    parsed = [_parsed(override) for override in overrides]
+    varying = {each.key_or_group for each in parsed if each.is_sweep_override()}
+    learns_from_logs = config.get("data") and not varying & {"data", "experiment"}
+    has_seeds = config["trainer"].get("seeds") is not None and not varying & {"trainer.seeds", "experiment"}
+    for each in parsed:
+        if learns_from_logs and _IN_THE_SIMULATOR.match(each.key_or_group) and not _leaves_out_log(each):
+            raise ConfigError(
+                f"{each.input_line} has no effect with data=log, which learns without the simulator, for data.updates; "
+                "leave it out"
+            )
+        if has_seeds and each.key_or_group == "seed":
+            raise ConfigError(
+                f"{each.input_line} has no effect beside trainer.seeds={shown(config['trainer']['seeds'])}, "
+                "which names the seed of every agent; leave one of them out"
+            )
+
+
+def _leaves_out_log(override: "Override") -> bool:
+    return override.key_or_group == "recorder" and (override.is_delete() or override.value() == "none")
 
 
 def is_search(override: str) -> bool:

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from carrl.cli.overrides import quote
+from carrl.cli.overrides import check_is_read, quote
 from carrl.cli.plain import composed
 from carrl.cli.signals import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.sweep_hooks import Beginning
@@ -91,10 +91,11 @@ def _plan(overrides: Sequence[str]) -> list[list[str]]:
 
 
 def _check_first(jobs: Sequence[Sequence[str]], overrides: Sequence[str]) -> None:
-    """Composes the first job, so that a key that nothing reads is answered before anything begins.
+    """Composes the first job, so that what nothing reads is answered before anything begins.
 
     Raises:
-        ConfigError: its configuration does not compose, or has such a key.
+        ConfigError: its configuration does not compose, or has a key that nothing reads, or one was typed that no job
+            reads.
     """
     flags = dict(each.partition("=")[::2] for each in overrides if each.startswith("--"))
     if not jobs or flags.keys() & {"--config-path", "--config-name"}:
@@ -102,7 +103,7 @@ def _check_first(jobs: Sequence[Sequence[str]], overrides: Sequence[str]) -> Non
     deleted = [each for each in overrides if each.startswith("~") and "=" not in each]
     folder = flags.get("--config-dir")
     searched = [f"hydra.searchpath=[{quote('file://' + os.path.abspath(folder))}]"] if folder else []
-    composed([*jobs[0], *deleted, *searched])
+    check_is_read(_own(overrides), composed([*jobs[0], *deleted, *searched]))
 
 
 def _naming(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> list[str]:

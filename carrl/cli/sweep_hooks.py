@@ -59,7 +59,8 @@ class Beginning(Callback):
 def _choose_folder(kind: str, config: DictConfig) -> None:
     """Makes a new folder by the configured name or one like it, unless it was named in the command."""
     key, given = f"hydra.{kind}.dir", config.hydra.overrides.hydra
-    if any(override.lstrip("+").startswith(f"{key}=") for override in given):
+    typed: Any = OmegaConf.to_container(given, resolve=False)  # one may be ${hydra.job.num}, which only jobs have
+    if any(str(override).lstrip("+").startswith(f"{key}=") for override in typed):
         return
     folder = str(make_new(Path(config.hydra[kind].dir)))
     with read_write(config), open_dict(config):

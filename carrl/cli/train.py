@@ -14,9 +14,10 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from carrl.cli.known_keys import explain
-from carrl.cli.overrides import Arguments, named_overrides, readable_overrides, sort_arguments, unquote
+from carrl.cli.overrides import Arguments, check_is_read, named_overrides, readable_overrides, sort_arguments, unquote
 from carrl.cli.plain import plain
 from carrl.cli.records import HYDRA, OVERRIDES, write_records
 from carrl.cli.sweep import FLAGS, sweep
@@ -40,7 +41,8 @@ def main(argv: list[str]) -> int:
     if run is not None:
         return _resume(run, typed)
     is_sweep = any(flag in FLAGS for flag in (*typed.flags, *typed.overrides))
-    arguments = [*typed.flags, *readable_overrides(typed.overrides, is_sweep)]
+    overrides = readable_overrides(typed.overrides, is_sweep)
+    arguments = [*typed.flags, *overrides]
     if is_sweep:
         return sweep(arguments, _run_hydra)
     failures: list[CarrlError] = []
@@ -49,6 +51,7 @@ def main(argv: list[str]) -> int:
         path = Path(HydraConfig.get().runtime.output_dir)
         try:
             values = plain(config)
+            check_is_read(overrides, values)
             from carrl.cli.training import train
 
             with locked(path):
@@ -71,10 +74,12 @@ def _resumed_run(overrides: Sequence[str]) -> Path | None:
     """The run that is to be gone on with, if any.
 
     Raises:
-        ConfigError: there are several.
+        ConfigError: there are several, or none is named.
     """
     values = [unquote(override.lstrip("+").removeprefix(RESUME)) for override in overrides if _is_resume(override)]
-    runs = [value for value in values if value not in ("", "null")]
+    if "" in values:
+        raise ConfigError(f"{RESUME} lacks its value; write {RESUME}RUN, with the folder of a run")
+    runs = [value for value in values if value != "null"]
     if len(runs) > 1:
         raise ConfigError(f"{RESUME} is given {len(runs)} times; one run is resumed at a time")
     return Path(runs[0]) if runs else None
@@ -96,7 +101,7 @@ def _run_hydra(arguments: Sequence[str], job: Callable[[DictConfig], None]) -> N
         hydra.main(version_base="1.3", config_path=str(config_dir()), config_name="train")(job)()
     except Refusal as refusal:
         raise refusal.error from None
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
         launcher = "hydra/launcher" in str(error) and any("hydra/launcher=" in argument for argument in arguments)
         remedy = "; joblib and submitit need pip install 'carrl[sweep]'" if launcher else ""
         raise ConfigError(explain(error) + remedy) from error

@@ -3,6 +3,7 @@
 import argparse
 import math
 import os
+import re
 import shlex
 import time
 from collections.abc import Mapping, Sequence
@@ -228,10 +229,15 @@ def _print_best(study: Any, tuning: Tuning) -> None:
         raise CarrlError("no trial was completed; allow more --trials or a longer --timeout")
     best = study.best_trial
     drawn = [f"{key}={value}" for key, value in best.params.items()]
-    fixed = [each for each in tuning.overrides if not is_search(each)]  # which training would not read
-    command = f"carrl train {shlex.join([*fixed, *drawn])}"
+    command = f"carrl train {shlex.join([*_read_by_training(tuning.overrides), *drawn])}"
     print(f"trial {best.number} is the best; train with its settings:\n\n  {command}")
     print(f"\nresults in {tuning.folder.absolute()}")
+
+
+def _read_by_training(overrides: Sequence[str]) -> list[str]:
+    """Those of a study's overrides that `carrl train` reads, too: neither its search nor a seed of its own alone."""
+    has_seeds = composed(overrides)["trainer"].get("seeds") is not None
+    return [each for each in overrides if not (is_search(each) or (has_seeds and re.match(r"\+*seed=", each)))]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -77,8 +77,10 @@ class Log:
     @property
     def messages(self) -> Mapping[str, int]:
         """How many messages each topic has."""
-        counts = self._file.index.messages
-        return {topic: counts.get(channel, 0) for channel, topic in self._topics.items()}
+        counts = dict.fromkeys(self._topics.values(), 0)
+        for channel, topic in self._topics.items():  # several may have one topic, as where files were merged
+            counts[topic] += self._file.index.messages.get(channel, 0)
+        return counts
 
     @property
     def attachments(self) -> Mapping[str, int]:

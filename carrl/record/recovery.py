@@ -260,6 +260,7 @@ class _Copy:
     def add(self, found: Iterable[Decoded], topic: str) -> None:
         """Appends what is of the topic."""
         own = [decoded for decoded in found if (decoded.run, decoded.topic) == (self._run, topic)]
+        own.sort(key=lambda decoded: decoded.batch.offset if decoded.batch else 0)  # a chunk may have them in any order
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
             self._file.add_chunk(messages)

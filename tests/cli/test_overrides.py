@@ -64,6 +64,9 @@ IGNORED_ONCE = [
     (["+hydra.run.foo=x"], "there is no key hydra.run.foo; carrl train --cfg hydra shows all there are"),
     (["hydra.sweep.dir=x"], "hydra.sweep.dir=x has no effect on a single run; add -m, or write hydra.run.dir="),
     (["hydra/launcher=basic"], "hydra/launcher=basic has no effect on a single run; add -m"),
+    (["seed=3", "trainer.seeds=[4..5]"], "seed=3 has no effect beside trainer.seeds=['4..5'], which names the seed of"),
+    (["experiment=tune", "seed=3"], "seed=3 has no effect beside trainer.seeds=['0..2'], which names the seed of"),
+    (["-m", "seed=0,1", "trainer.seeds=[4..5]"], "seed=0,1 has no effect beside trainer.seeds=['4..5']"),
     (["-m", "hydra.run.dir=x"], "hydra.run.dir=x has no effect on a sweep; write hydra.sweep.dir=, or leave -m out"),
     (["resume=a", "resume=b"], "resume= is given 2 times; one run is resumed at a time"),
     (["--seed", "3"], "carrl train has no flag --seed; write seed=3"),
@@ -128,6 +131,27 @@ def test_an_experiment_file_of_ones_own_is_checked_as_what_is_typed(flags, empty
     assert refused(capsys, "train", *flags, "experiment=again", *TINY) == says
 
 
+@pytest.mark.parametrize("flags", [[], ["-m"]])
+def test_an_experiment_file_that_cannot_be_read_is_one_sentence(flags, empty_folder, capsys):
+    experiments = empty_folder / "mine" / "experiment"
+    experiments.mkdir(parents=True)
+    (experiments / "open.yaml").write_text("# @package _global_\nseed: [\n")
+    (experiments / "pair.yaml").write_text("# @package _global_\n? [seed, device]\n: 3\n")
+    (experiments / "dangling.yaml").write_text("# @package _global_\nseed: ${nowhere}\n")
+    typed = ["train", "--config-dir", "mine", *flags]
+    for name in ("open", "pair"):
+        says = refused(capsys, *typed, f"experiment={name}")
+        assert says.startswith("a file of the configuration is no YAML that Hydra reads: while ")
+        assert f"{name}.yaml" in says
+    assert "'nowhere' not found" in refused(capsys, *typed, "experiment=dangling")
+
+
+@pytest.mark.parametrize("typed", ["resume=", "+resume=", "resume=''"])
+def test_a_resume_of_nothing_is_answered_with_what_it_lacks(typed, capsys, empty_folder):
+    assert refused(capsys, "train", typed) == "resume= lacks its value; write resume=RUN, with the folder of a run"
+    assert list(empty_folder.iterdir()) == []
+
+
 def test_the_known_keys_are_those_of_the_configuration():
     content = yaml.safe_load((config_dir() / "train.yaml").read_text())
     groups = {key for each in content["defaults"] if isinstance(each, dict) for key in each if " " not in key}
@@ -153,6 +177,11 @@ def test_flags_may_stand_anywhere():
 def test_a_sweep_with_its_flag_last_trains_every_job(empty_folder):
     assert main(["train", *TINY, "seed=0,1", "hydra.sweep.dir=many", "-m"]) == 0
     assert sorted(path.name for path in (empty_folder / "many").glob("seed=*")) == ["seed=0", "seed=1"]
+
+
+def test_a_seed_counts_for_the_job_of_a_sweep_that_has_no_others(empty_folder):
+    assert main(["train", "-m", *TINY, "seed=3", "trainer.seeds=[4..5],null", "hydra.sweep.dir=s"]) == 0
+    assert (empty_folder / "s" / "trainer.seeds=null" / "summary.json").exists()
 
 
 def test_a_folder_with_an_equals_sign_in_its_name_needs_no_quotes(empty_folder):

@@ -67,6 +67,13 @@ def test_a_job_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
     assert states == ["failed", "finished"]
 
 
+def test_a_sweep_whose_jobs_are_numbered_tells_of_those_that_fail(tmp_path, capsys):
+    numbered = "hydra.sweep.subdir=${hydra.job.num}"
+    assert main(["train", "-m", *TINY, numbered, "vehicle.speed=-3,10", f"hydra.sweep.dir={tmp_path}"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("carrl: vehicle.speed is -3")
+    assert [note.state for note in SweepFolder(tmp_path).notes().values()] == ["failed", "finished"]
+
+
 def test_the_same_sweep_again_trains_only_what_is_not_finished(tmp_path, capsys):
     assert sweep(tmp_path, "seed=0,1") == 0
     (kept, gone) = (tmp_path / f"seed={seed}" / "summary.json" for seed in (0, 1))

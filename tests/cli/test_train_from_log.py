@@ -126,6 +126,36 @@ def test_bad_input_is_one_sentence_and_exit_code_2(overrides, message, tmp_path,
     assert output.out == ""
 
 
+READ_BY_THE_SIMULATOR_ONLY = [
+    "trainer.frames=100",
+    "trainer.frames_per_update=2",
+    "exploration=constant",
+    "exploration.decay_rate=0.1",
+    "env.num_envs=4",
+    "evaluation.interval=5",
+    "collector.steps_per_batch=2",
+    "recorder=mcap",
+    "recorder.envs=2",
+]
+
+
+@pytest.mark.parametrize("sweep", [[], ["-m", "loss=dqn,cql"]], ids=["run", "sweep"])
+@pytest.mark.parametrize("override", READ_BY_THE_SIMULATOR_ONLY)
+def test_what_only_the_simulator_reads_is_refused_where_it_is_typed(
+    override, sweep, log_path, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *sweep, *TINY, f"data.path={log_path}", override]) == 2
+    sentence = f"carrl: {override} has no effect with data=log, which learns without the simulator, for data.updates; "
+    assert capsys.readouterr().err == f"{sentence}leave it out\n"
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_an_experiments_own_values_and_no_recorder_go_with_a_log(log_path, tmp_path):
+    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=none", "env.observe_action=false"]
+    assert main(["train", *overrides, f"hydra.run.dir={tmp_path}"]) == 0
+
+
 @pytest.fixture(scope="module")
 def fast_log(tmp_path_factory):
     """The log of `experiment=fast`, seed 0."""

@@ -8,6 +8,7 @@ import pytest
 
 from carrl.cli.main import main
 from carrl.cli.search_space import Choice, Range, parse_search_space
+from carrl.cli.tune import _read_by_training
 from carrl.errors import ConfigError
 from carrl.run.objective import OBJECTIVES
 
@@ -30,6 +31,11 @@ def test_the_best_settings_are_printed_ready_to_paste(tmp_path, capsys):
     assert "optimizer.lr=" in command and "target_updater.period=" in command
     assert {path.name for path in tmp_path.iterdir()} == {"study.db", "trial=0", "trial=1"}
     assert "[2/2]" in output.err
+
+
+@pytest.mark.parametrize(("search", "read"), [("experiment=tune", []), ("+search.optimizer.lr=[0.1]", ["seed=3"])])
+def test_a_seed_is_printed_only_where_training_reads_it(search, read):
+    assert [each for each in _read_by_training([search, "seed=3"]) if each != "experiment=tune"] == read
 
 
 @needs_optuna

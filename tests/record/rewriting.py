@@ -46,15 +46,16 @@ def rewrite(source: Path, target: Path, *others: Path, topics=(TRANSITIONS, EPIS
         source: a log.
         target: the new file.
         others: further logs, that are merged into it.
-        topics: in which order their channels are made.
-        options: of the writer; also `sequence`, for every message in place of its own.
+        topics: in which order their channels are made; one named twice has two, used by turns.
+        options: of the writer; also `sequence`, for every message in place of its own, and `backwards`.
     """
-    sequence = options.pop("sequence", None)
+    sequence, backwards = options.pop("sequence", None), options.pop("backwards", False)
     with target.open("wb") as file:
         writer = Writer(file, **options)
         writer.start(library="another program")
         streams = [_copied(path, writer, topics) for path in (source, *others)]
-        for _, _, channel, message in heapq.merge(*streams, key=lambda entry: entry[0]):
+        merged = list(heapq.merge(*streams, key=lambda entry: entry[0]))
+        for _, _, channel, message in reversed(merged) if backwards else merged:
             number = message.sequence if sequence is None else sequence
             writer.add_message(channel, message.log_time, message.data, message.publish_time, number)
         writer.finish()
@@ -73,12 +74,12 @@ def _copied(path: Path, writer: Writer, topics) -> list[tuple]:
                 attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
             )
         by_topic = {channel.topic: channel for channel in summary.channels.values()}
-        numbers = {}
+        numbers = {topic: [] for topic in topics}
         for topic in topics:
             schema = summary.schemas[by_topic[topic].schema_id]
             schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-            numbers[topic] = writer.register_channel(topic, "protobuf", schema_id, by_topic[topic].metadata)
+            numbers[topic].append(writer.register_channel(topic, "protobuf", schema_id, by_topic[topic].metadata))
         return [
-            (message.log_time, place, numbers[channel.topic], message)
+            (message.log_time, place, numbers[channel.topic][place % len(numbers[channel.topic])], message)
             for place, (_, channel, message) in enumerate(reader.iter_messages(log_time_order=False))
         ]

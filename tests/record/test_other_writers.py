@@ -271,3 +271,20 @@ def test_topics_are_those_of_the_channel_records(log_path, tmp_path):
     with IndexedFile(path) as file:
         assert [file.index.channels[number].topic for number in (1, 3)] == [METRICS, TRANSITIONS]
     assert np.array_equal(read_columns(path)["pose"], read_columns(log_path)["pose"])
+
+
+def test_two_channels_of_one_topic_count_as_one(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", topics=BACKWARDS + BACKWARDS)
+    with IndexedFile(path) as file:
+        assert [channel.topic for channel in file.index.channels.values()] == list(BACKWARDS + BACKWARDS)
+        assert len([number for number in file.index.messages if file.index.messages[number]]) > len(BACKWARDS)
+    assert_same(path, log_path)
+
+
+def test_messages_that_a_chunk_has_backwards_are_recovered_in_their_order(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", backwards=True)
+    with pytest.raises(DamagedLogError, match="0 transitions are followed by number"):
+        verify(path)
+    assert recover(path, tmp_path / "recovered.mcap").complete
+    columns, expected = read_columns(tmp_path / "recovered.mcap"), read_columns(log_path)
+    assert all(columns[name].tobytes() == expected[name].tobytes() for name in expected)

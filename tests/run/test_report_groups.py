@@ -97,3 +97,11 @@ def test_groups_stand_in_the_order_of_the_folders_named(tmp_path):
 def test_no_run_at_all_is_refused(tmp_path):
     with pytest.raises(CheckpointError, match="no run in"):
         find_runs([tmp_path])
+
+
+def test_a_folder_without_a_run_is_refused_beside_one_that_has_some(tmp_path):
+    write_run(tmp_path / "a")
+    (tmp_path / "empty").mkdir()
+    for name in ("empty", "missing"):
+        with pytest.raises(CheckpointError, match=f"no run in '{tmp_path / name}'; name folders"):
+            find_runs([tmp_path / "a", tmp_path / name])

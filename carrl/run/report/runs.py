@@ -13,14 +13,16 @@ def find_runs(roots: list[Path]) -> list[RunResult]:
     """Every run below the folders, those in progress or broken off included, in the natural order of their paths.
 
     Raises:
-        CheckpointError: there is none.
+        CheckpointError: there is none in one of them.
     """
-    found = {config.parent.parent for root in roots if os.path.isdir(root) for config in root.rglob(str(CONFIG))}
+    runs = {root: {config.parent.parent for config in root.rglob(str(CONFIG))} for root in roots if os.path.isdir(root)}
+    empty = [root for root in roots if not runs.get(root)]
+    if empty:
+        names = ", ".join(f"'{root}'" for root in empty)
+        raise CheckpointError(f"no run in {names}; name folders that `carrl train` has written")
+    found = set().union(*runs.values())
     found -= {folder.parent for folder in found}  # a run of several seeds holds one folder for each
     folders = sorted(found, key=in_natural_order)
-    if not folders:
-        names = ", ".join(f"'{root}'" for root in roots)
-        raise CheckpointError(f"no run in {names}; name folders that `carrl train` has written")
     return [read_run(folder, label) for folder, label in zip(folders, _labels(folders), strict=True)]
 
 
