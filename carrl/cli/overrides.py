@@ -34,7 +34,7 @@ _HYDRA_TAKES = re.compile(
 )
 """What of Hydra's own may be added with +; it would take all else, too, and not read it."""
 _IN_THE_SIMULATOR = re.compile(
-    r"(exploration|evaluation|collector|recorder)(\.|$)|env\.(?!observe_action$)|"
+    r"(exploration|evaluation|collector|recorder|start|env)(\.|$)|"
     r"trainer\.(frames|episodes|frames_per_update)$"
 )
 """What a run that learns from logs does not read."""

@@ -152,7 +152,7 @@ def test_what_only_the_simulator_reads_is_refused_where_it_is_typed(
 
 
 def test_an_experiments_own_values_and_no_recorder_go_with_a_log(log_path, tmp_path):
-    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=none", "env.observe_action=false"]
+    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=none", "observation=rays"]
     assert main(["train", *overrides, f"hydra.run.dir={tmp_path}"]) == 0
 
 
