@@ -9,7 +9,7 @@ import mmap
 import os
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from hashlib import blake2b
@@ -25,6 +25,7 @@ from carrl.record.log_file import begin_log
 from carrl.record.mcap_file import McapFile
 from carrl.record.mcap_index import IndexedFile, open_log
 from carrl.record.mcap_scan import McapIndex
+from carrl.record.messages import Episode
 from carrl.record.metadata import ATTACHMENT, describe
 from carrl.record.reader import quoted_names
 from carrl.record.salvage import Content, Pieces, find_pieces, lone_messages, record_at, unpacked
@@ -52,6 +53,8 @@ class Recovery:
         unchecked: messages salvaged that no checksum vouches for.
         runs_left_out: what else the file has something of.
         others_left_out: what is in the file and not part of a log's format.
+        topics_lost: those that every log has and this one does not, or none of whose messages is left.
+        episode_steps: of the salvaged episodes in all; as many transitions had a run that logged every one.
     """
 
     finished: bool
@@ -69,13 +72,16 @@ class Recovery:
     unchecked: int = 0
     runs_left_out: tuple[str, ...] = ()
     others_left_out: tuple[str, ...] = ()
+    topics_lost: tuple[str, ...] = ()
+    episode_steps: int = 0
 
     @property
     def complete(self) -> bool:
         """Whether the file was finished, and all that is in it is in the new log."""
         counts = (self.transitions_lost, self.episodes_lost, self.chunks_lost, self.messages_lost)
         left_out = (self.transitions_left_out, self.runs_left_out, self.others_left_out)
-        return self.finished and not any((*counts, *left_out, self.metadata_lost, self.attachments_lost))
+        lost = (self.metadata_lost, self.attachments_lost, self.topics_lost)
+        return self.finished and not any((*counts, *left_out, *lost))
 
 
 def recover(source: str | Path, target: str | Path, run: str | None = None) -> Recovery:
@@ -191,6 +197,8 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
             unchecked=pieces.unchecked,
             runs_left_out=tuple(f"{other:016x}" for other in sorted(pieces.runs - {run})),
             others_left_out=tuple(_others(content, pieces, index)),
+            topics_lost=_topics_lost(index, entries, copy.written),
+            episode_steps=copy.episode_steps,
         )
         file.add_metadata(RECOVERY_NAME, {key: json.dumps(value) for key, value in asdict(recovery).items()})
         file.finish()
@@ -207,6 +215,18 @@ def _expected(index: McapIndex | None, run: int) -> Counter[str]:
         if channel.topic in CHANNELS and channel.metadata.get("run", name) == name:
             expected[channel.topic] += index.messages[number] if index else 0
     return expected
+
+
+def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, written: Counter[str]) -> tuple[str, ...]:
+    """The topics that a finished file lacks, and that of transitions where episodes ended and not one is left.
+
+    Only in the first part of a run no episode ends before a transition is logged.
+    """
+    topics = {channel.topic for channel in index.channels.values()} if index else set(CHANNELS)
+    is_first = entries is not None and entries["part"] == "0"
+    if is_first and written[EPISODES] and not written[TRANSITIONS]:
+        topics.discard(TRANSITIONS)
+    return tuple(topic for topic in CHANNELS if topic not in topics)
 
 
 def _chunks_lost(index: McapIndex | None, pieces: Pieces) -> int:
@@ -238,6 +258,7 @@ class _Copy:
     Attributes:
         found: messages so far, each counted once.
         written: transitions, and messages of the other topics.
+        episode_steps: of the episodes so far.
         transitions_lost: missing so far.
         transitions_left_out: that did not fit those before.
     """
@@ -246,7 +267,7 @@ class _Copy:
         self._file, self._run = file, run
         self.found: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
-        self.transitions_lost = self.transitions_left_out = 0
+        self.episode_steps = self.transitions_lost = self.transitions_left_out = 0
         self._next_offset = 0
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
@@ -277,6 +298,7 @@ class _Copy:
         if batch is None:
             self._highest[topic] = max(self._highest[topic], message.sequence + 1)
             self.written[topic] += 1
+            self.episode_steps += decoded.small.length if isinstance(decoded.small, Episode) else 0
         else:
             self._row_shapes = self._row_shapes or row_shapes(batch.columns)
             if batch.offset < self._next_offset or row_shapes(batch.columns) != self._row_shapes:

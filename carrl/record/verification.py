@@ -11,7 +11,7 @@ from carrl.record.mcap_index import check_magic, damaged, open_log
 from carrl.record.mcap_records import parse
 from carrl.record.mcap_scan import verified_records
 from carrl.record.reader import Log
-from carrl.record.schema import EPISODES, METRICS, TRANSITIONS
+from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 
 _TOLD_OF: dict[int, str] = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment", Opcode.METADATA: "metadata"}
 
@@ -38,8 +38,7 @@ def verify(path: str | Path) -> IntactLog:
         for what, expected in log.places.items():
             if offsets[what] != expected:
                 raise damaged(path, f"its index does not tell where its {what} records are")
-        for name in log.attachments:
-            log.attachment(name)
+        _check_is_all_there(log)
         transitions, batches, shapes = 0, 0, log.row_shapes
         for batch in log.coded_batches():
             if batch.offset != transitions:
@@ -47,13 +46,25 @@ def verify(path: str | Path) -> IntactLog:
             if row_shapes(batch.columns) != shapes:
                 raise damaged(path, f"transition {transitions} has not as many rays as those before")
             transitions, batches = transitions + batch.count, batches + 1
-        found = {TRANSITIONS: batches, EPISODES: sum(1 for _ in log.episodes()), METRICS: sum(1 for _ in log.metrics())}
+        lengths = [episode.length for episode in log.episodes()]
+        if lengths and not batches and log.metadata["part"] == "0" and not log.recovery:
+            raise damaged(path, f"its ended episodes have {sum(lengths)} steps, but it has no transitions")
+        found = {TRANSITIONS: batches, EPISODES: len(lengths), METRICS: sum(1 for _ in log.metrics())}
         for topic, count in found.items():
             if log.messages.get(topic, 0) != count:
                 raise damaged(
                     path, f"its summary tells of {log.messages.get(topic, 0)} messages of {topic}, not {count}"
                 )
         return IntactLog(transitions, found[EPISODES], found[METRICS])
+
+
+def _check_is_all_there(log: Log) -> None:
+    """Raises DamagedLogError where a topic is missing."""
+    for topic in CHANNELS:
+        if topic not in log.messages:
+            raise damaged(log.path, f"it has no topic {topic}, which every log has")
+    for name in log.attachments:
+        log.attachment(name)
 
 
 def _walk(path: Path) -> dict[str, list[int]]:

@@ -26,7 +26,7 @@ from carrl.log import (
 from carrl.record.mcap_index import IndexedFile
 from carrl.record.mcap_summary import serialise
 from carrl.record.messages import Episode, Metrics
-from carrl.record.schema import METRICS, TRANSITIONS
+from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 from carrl.record.writer import LogWriter
 from tests.record.rewriting import BACKWARDS, NOTHING_TOLD, VARIANTS, rewrite
 
@@ -271,6 +271,26 @@ def test_topics_are_those_of_the_channel_records(log_path, tmp_path):
     with IndexedFile(path) as file:
         assert [file.index.channels[number].topic for number in (1, 3)] == [METRICS, TRANSITIONS]
     assert np.array_equal(read_columns(path)["pose"], read_columns(log_path)["pose"])
+
+
+@pytest.mark.parametrize("lost", CHANNELS)
+def test_a_topic_that_another_program_left_out_is_named(log_path, tmp_path, lost):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", topics=[topic for topic in CHANNELS if topic != lost])
+    with pytest.raises(DamagedLogError, match=f"is damaged: it has no topic {lost}, which every log has; salvage"):
+        verify(path)
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.topics_lost, recovery.complete) == ((lost,), False)
+    assert recovery.episode_steps == (0 if lost == EPISODES else 9)
+    verify(tmp_path / "recovered.mcap")  # of which it is known
+
+
+def test_episodes_without_a_transition_are_not_called_intact(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", without=(TRANSITIONS,))
+    with pytest.raises(DamagedLogError, match="its ended episodes have 9 steps, but it has no transitions"):
+        verify(path)
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.topics_lost, recovery.episode_steps, recovery.complete) == ((TRANSITIONS,), 9, False)
+    verify(tmp_path / "recovered.mcap")
 
 
 def test_two_channels_of_one_topic_count_as_one(log_path, tmp_path):
