@@ -1,6 +1,8 @@
 """Reads a log from its first byte to its last and compares every part with every other."""
 
+import json
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +12,8 @@ from carrl.record.codec import row_shapes
 from carrl.record.mcap_index import check_magic, damaged, open_log
 from carrl.record.mcap_records import parse
 from carrl.record.mcap_scan import verified_records
-from carrl.record.reader import Log
+from carrl.record.metadata import ATTACHMENT
+from carrl.record.reader import Log, quoted_names
 from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 
 _TOLD_OF: dict[int, str] = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment", Opcode.METADATA: "metadata"}
@@ -59,12 +62,23 @@ def verify(path: str | Path) -> IntactLog:
 
 
 def _check_is_all_there(log: Log) -> None:
-    """Raises DamagedLogError where a topic is missing."""
+    """Raises DamagedLogError where a topic or an attachment is missing, but for what recovery has told of."""
     for topic in CHANNELS:
         if topic not in log.messages:
             raise damaged(log.path, f"it has no topic {topic}, which every log has")
+    named = {key.removeprefix(ATTACHMENT) for key in log.metadata if key.startswith(ATTACHMENT)}
+    lost = sorted(named - log.attachments.keys() - _known_lost(log))
+    if lost:
+        raise damaged(log.path, f"it lacks the attachments that its metadata tells of: {quoted_names(lost)}")
     for name in log.attachments:
         log.attachment(name)
+
+
+def _known_lost(log: Log) -> set[str]:
+    """The attachments that a recovered log says were lost before."""
+    with suppress(ValueError, TypeError, RecursionError):  # it is text that any program may have written
+        return set(map(str, json.loads(log.recovery.get("attachments_lost", "[]"))))
+    return set()
 
 
 def _walk(path: Path) -> dict[str, list[int]]:

@@ -48,7 +48,7 @@ def rewrite(source: Path, target: Path, *others: Path, topics=(TRANSITIONS, EPIS
         others: further logs, that are merged into it.
         topics: in which order their channels are made; one named twice has two, used by turns.
         options: of the writer; also `sequence`, for every message in place of its own, `backwards`, and `without`,
-            topics whose messages are left out.
+            topics whose messages, and names of attachments that, are left out.
     """
     sequence, backwards = options.pop("sequence", None), options.pop("backwards", False)
     without = options.pop("without", ())
@@ -71,7 +71,7 @@ def _copied(path: Path, writer: Writer, topics, without) -> list[tuple]:
         summary = reader.get_summary()
         for metadata in reader.iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
-        for attachment in reader.iter_attachments():
+        for attachment in (each for each in reader.iter_attachments() if each.name not in without):
             writer.add_attachment(
                 attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
             )

@@ -293,6 +293,20 @@ def test_episodes_without_a_transition_are_not_called_intact(log_path, tmp_path)
     verify(tmp_path / "recovered.mcap")
 
 
+def test_attachments_that_another_program_left_out_are_named(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", without=("track.json",))
+    with pytest.raises(
+        DamagedLogError, match=r"it lacks the attachments that its metadata tells of: 'track.json'; salv"
+    ):
+        verify(path)
+    recovered = tmp_path / "recovered.mcap"
+    assert recover(path, recovered).attachments_lost == ("track.json",)
+    assert verify(recovered) == verify(log_path)
+    again = rewrite(recovered, tmp_path / "again.mcap", without=("config.yaml",))
+    with pytest.raises(DamagedLogError, match=r"its metadata tells of: 'config.yaml'; salvage"):
+        verify(again)
+
+
 def test_two_channels_of_one_topic_count_as_one(log_path, tmp_path):
     path = rewrite(log_path, tmp_path / "rewritten.mcap", topics=BACKWARDS + BACKWARDS)
     with IndexedFile(path) as file:
