@@ -16,7 +16,7 @@ from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
-from mcap.records import Attachment, Message
+from mcap.records import Attachment, ChunkIndex, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
@@ -28,7 +28,7 @@ from carrl.record.mcap_scan import McapIndex
 from carrl.record.messages import Episode
 from carrl.record.metadata import ATTACHMENT, describe
 from carrl.record.reader import quoted_names
-from carrl.record.salvage import Content, Pieces, find_pieces, lone_messages, record_at, unpacked
+from carrl.record.salvage import Content, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
 from carrl.record.salvaged_messages import TOPICS, Decoded, decoded_messages
 from carrl.record.schema import CHANNELS, EPISODES, METADATA_NAME, METRICS, RECOVERY_NAME, TRANSITIONS
 
@@ -55,6 +55,7 @@ class Recovery:
         others_left_out: what is in the file and not part of a log's format.
         topics_lost: those that every log has and this one does not, or none of whose messages is left.
         episode_steps: of the salvaged episodes in all; as many transitions had a run that logged every one.
+        duplicates_left_out: messages that were salvaged already.
     """
 
     finished: bool
@@ -74,6 +75,7 @@ class Recovery:
     others_left_out: tuple[str, ...] = ()
     topics_lost: tuple[str, ...] = ()
     episode_steps: int = 0
+    duplicates_left_out: int = 0
 
     @property
     def complete(self) -> bool:
@@ -175,12 +177,12 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
         attachments[name] = record.data
     named = {key.removeprefix(ATTACHMENT) for key in entries or {} if key.startswith(ATTACHMENT)}
     file = begin_log(path, entries or describe(run, 0, {}, attachments), attachments)
+    told = {chunk.chunk_start_offset: chunk for chunk in index.chunks} if index else {}
     try:
         copy = _Copy(file, run)
         for place in sorted(place for place in pieces.places if place.run == run):
             found = [decoded for decoded in decoded_messages(unpacked(content, place), pieces.topics) if decoded]
-            copy.add(found, TOPICS[place.channel])
-        expected = _expected(index, run)
+            copy.add(found, TOPICS[place.channel], is_counted=_is_of(place, told.get(place.position)))
         recovery = Recovery(
             finished=index is not None,
             transitions=copy.written[TRANSITIONS],
@@ -192,19 +194,25 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
             attachments=tuple(attachments),
             attachments_lost=tuple(sorted(named - attachments.keys())),
             chunks_lost=_chunks_lost(index, pieces),
-            messages_lost=sum(max(0, count - copy.found[topic]) for topic, count in expected.items()),
+            messages_lost=_messages_lost(_expected(index, run), copy),
             transitions_left_out=copy.transitions_left_out,
             unchecked=pieces.unchecked,
             runs_left_out=tuple(f"{other:016x}" for other in sorted(pieces.runs - {run})),
             others_left_out=tuple(_others(content, pieces, index)),
             topics_lost=_topics_lost(index, entries, copy.written),
             episode_steps=copy.episode_steps,
+            duplicates_left_out=copy.duplicates,
         )
         file.add_metadata(RECOVERY_NAME, {key: json.dumps(value) for key, value in asdict(recovery).items()})
         file.finish()
     finally:
         file.close()
     return recovery
+
+
+def _is_of(place: Place, told: ChunkIndex | None) -> bool:
+    """Whether this is the chunk that the index tells of there; another may have been put in its place."""
+    return told is not None and told.message_start_time <= place.end_time <= told.message_end_time
 
 
 def _expected(index: McapIndex | None, run: int) -> Counter[str]:
@@ -215,6 +223,10 @@ def _expected(index: McapIndex | None, run: int) -> Counter[str]:
         if channel.topic in CHANNELS and channel.metadata.get("run", name) == name:
             expected[channel.topic] += index.messages[number] if index else 0
     return expected
+
+
+def _messages_lost(expected: Counter[str], copy: "_Copy") -> int:
+    return sum(max(0, count - max(copy.found[topic], copy.counted[topic])) for topic, count in expected.items())
 
 
 def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, written: Counter[str]) -> tuple[str, ...]:
@@ -257,6 +269,8 @@ class _Copy:
 
     Attributes:
         found: messages so far, each counted once.
+        counted: messages so far that the file's statistics count, duplicates among them.
+        duplicates: messages that were there before.
         written: transitions, and messages of the other topics.
         episode_steps: of the episodes so far.
         transitions_lost: missing so far.
@@ -266,8 +280,9 @@ class _Copy:
     def __init__(self, file: McapFile, run: int) -> None:
         self._file, self._run = file, run
         self.found: Counter[str] = Counter()
+        self.counted: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
-        self.episode_steps = self.transitions_lost = self.transitions_left_out = 0
+        self.duplicates = self.episode_steps = self.transitions_lost = self.transitions_left_out = 0
         self._next_offset = 0
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
@@ -278,9 +293,10 @@ class _Copy:
     def episodes_lost(self) -> int:
         return max(0, self._highest[EPISODES] - self.written[EPISODES])
 
-    def add(self, found: Iterable[Decoded], topic: str) -> None:
-        """Appends what is of the topic."""
+    def add(self, found: Iterable[Decoded], topic: str, is_counted: bool) -> None:
+        """Appends what is of the topic; its statistics count what is in a chunk that the file's index tells of."""
         own = [decoded for decoded in found if (decoded.run, decoded.topic) == (self._run, topic)]
+        self.counted[topic] += len(own) if is_counted else 0
         own.sort(key=lambda decoded: decoded.batch.offset if decoded.batch else 0)  # a chunk may have them in any order
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
@@ -291,6 +307,7 @@ class _Copy:
         message, topic, batch = decoded.message, decoded.topic, decoded.batch
         identity = _identity(decoded)
         if identity in self._seen:
+            self.duplicates += 1
             return None
         self._seen.add(identity)
         self.found[topic] += 1

@@ -178,6 +178,29 @@ def test_a_run_that_the_file_does_not_hold_is_answered_with_those_that_it_does(l
     assert not (tmp_path / "new.mcap").exists()
 
 
+def test_a_log_merged_with_itself_loses_nothing(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "merged.mcap", log_path)
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.messages_lost, recovery.duplicates_left_out, recovery.complete) == (0, 6, True)
+    assert read_columns(tmp_path / "recovered.mcap")["reward"].tolist() == read_columns(log_path)["reward"].tolist()
+    assert read_episodes(tmp_path / "recovered.mcap") == read_episodes(log_path)
+
+
+def test_a_duplicate_in_the_place_of_a_message_does_not_hide_its_loss(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", chunk_size=1, compression=CompressionType.NONE)
+    with IndexedFile(path) as file:
+        first, *_, last = [chunk for chunk in file.index.chunks if 1 in chunk.message_index_offsets]
+    content, begin = path.read_bytes(), last.chunk_start_offset
+    message = content[: first.chunk_start_offset + first.chunk_length][
+        2 - last.uncompressed_size :
+    ]  # offset 0 has no field
+    copy = Chunk("", message, first.message_end_time, first.message_start_time, zlib.crc32(message), len(message))
+    path.write_bytes(content[:begin] + serialise(copy) + bytes(2) + content[begin + last.chunk_length :])
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.transitions, recovery.messages_lost, recovery.duplicates_left_out) == (5, 1, 1)
+    assert not recovery.complete
+
+
 def test_two_parts_of_a_run_merged_into_one_file_are_no_damage_and_what_recovery_leaves_out_is_told(
     tmp_path, transitions
 ):

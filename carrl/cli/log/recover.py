@@ -76,6 +76,8 @@ def _steps(recovery: Recovery) -> str:
 def _left_out(recovery: Recovery) -> Iterator[str]:
     if recovery.unchecked:
         yield f"Not verified: {counted(recovery.unchecked, 'message')}, for which no checksum vouches."
+    if recovery.duplicates_left_out:
+        yield f"Left out: {counted(recovery.duplicates_left_out, 'duplicate message')}."
     if recovery.transitions_left_out:
         yield f"Left out: {counted(recovery.transitions_left_out, 'transition')} that do not follow those salvaged."
     if recovery.runs_left_out:

@@ -108,6 +108,7 @@ def test_each_kind_of_loss_has_its_sentence(run, log_path, tmp_path, monkeypatch
         ("topic '/notes'",),
         ("/transitions", "/metrics"),
         1_500,
+        7,
     )
     monkeypatch.setattr("carrl.cli.log.recover.recover", lambda source, target, run: loss)
     assert run("recover", log_path, "new.mcap").splitlines() == [
@@ -122,6 +123,7 @@ def test_each_kind_of_loss_has_its_sentence(run, log_path, tmp_path, monkeypatch
         "Lost: the metadata, what the log said of its run; show, replay and pictures need it.",
         "Lost: track.json.",
         "Not verified: 5 messages, for which no checksum vouches.",
+        "Left out: 7 duplicate messages.",
         "Left out: 20 transitions that do not follow those salvaged.",
         "Left out: all of the runs 0a, 0b; salvage another run with --run RUN.",
         "Left out, for it is not part of a log: topic '/notes'.",
