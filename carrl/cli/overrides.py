@@ -24,6 +24,8 @@ CHOICES = {
 }
 FLAGS = ("--resolve", "--info", *SWITCHES.values(), *VALUED.values())
 """Those of Hydra's that `carrl train` takes, each in any place."""
+_CARRLS = ("--version",)
+"""Those that every verb of `carrl` takes."""
 _ALONE = ("--run", "--multirun", "--cfg", "--info")
 _SHORT = {**SWITCHES, **VALUED, "-i": "--info"}
 _WHOLE = ("hydra.run.dir", "hydra.sweep.dir")
@@ -90,7 +92,7 @@ def _unknown_flag(argument: str, rest: Sequence[str]) -> str:
     flag, equals, value = argument.partition("=")
     key = flag.lstrip("-").replace("-", "_")
     keys = nearest_keys(key)
-    close = did_you_mean(flag, FLAGS)
+    close = did_you_mean(flag, (*FLAGS, *_CARRLS))
     if close and key not in {each.rpartition(".")[2] for each in keys}:
         return f"carrl train has no flag {flag}{close}"
     if not equals:

@@ -78,6 +78,7 @@ IGNORED_ONCE = [
     (["loss=dqn", "--lr", "0.1"], "carrl train has no flag --lr; write optimizer.lr=0.1"),
     (["--max-steps"], "carrl train has no flag --max-steps; write env.max_steps=VALUE"),
     (["--mulitrun"], "carrl train has no flag --mulitrun; did you mean --multirun?"),
+    (["--verison"], "carrl train has no flag --verison; did you mean --version?"),
     (["--cfg"], "--cfg lacks its value; write --cfg job|hydra|all"),
     (["--cfg", "jobs"], "--cfg is 'jobs'; choose one of: job, hydra, all"),
     (["--resolve"], "--resolve has no effect without --cfg; add --cfg job, or leave --resolve out"),
@@ -275,3 +276,10 @@ assert "torch" not in sys.modules
     finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stderr
     assert len(finished.stderr.splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    "verb", [[], ["tune"], ["evaluate", "run"], ["report", "run"], ["log", "check", "a"], ["track", "list"]]
+)
+def test_a_misspelt_flag_of_carrl_itself_is_answered_with_it_after_each_verb(verb, capsys):
+    assert "; did you mean --version?" in refused(capsys, *verb, "--verison")
