@@ -54,10 +54,13 @@ def _open_files(pid: int) -> list[str]:
 
 
 def carrl_command(prelude: str = "pass") -> list[str]:
-    """The command `carrl`, which heeds SIGINT even where this process, started in the background, ignores it.
+    """The command `carrl`, which heeds SIGINT and SIGHUP even where this process, in the background, ignores them.
 
     Args:
         prelude: Python code to run first.
     """
-    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    heed = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)"
+    )
     return [sys.executable, "-c", f"{prelude}; {heed}; import sys; from carrl.cli.main import main; sys.exit(main())"]

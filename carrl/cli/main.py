@@ -59,7 +59,7 @@ def _run(arguments: list[str]) -> int:
     if verb not in VERBS:
         from carrl.cli.known_keys import did_you_mean
 
-        close = did_you_mean(verb, VERBS)
+        close = did_you_mean(verb, (*VERBS, "--version", "--help", "--shell-completion"))
         raise CarrlError(f"no verb {verb!r}{close or ';'} choose one of: {', '.join(VERBS)}")
     exit_code: int = importlib.import_module(f"carrl.cli.{verb}").main(arguments[1:])
     return exit_code

@@ -24,10 +24,13 @@ CHOICES = {
 }
 FLAGS = ("--resolve", "--info", *SWITCHES.values(), *VALUED.values())
 """Those of Hydra's that `carrl train` takes, each in any place."""
+_CARRLS = ("--version",)
+"""Those that every verb of `carrl` takes."""
 _ALONE = ("--run", "--multirun", "--cfg", "--info")
 _SHORT = {**SWITCHES, **VALUED, "-i": "--info"}
 _WHOLE = ("hydra.run.dir", "hydra.sweep.dir")
 """Keys that have one path, which may have commas and equals signs in it."""
+_FOLDERS = (*_WHOLE, "hydra.sweep.subdir")
 _HYDRA_TAKES = re.compile(
     r"hydra\.((run\.dir|sweep\.(dir|subdir)|mode|verbose|output_subdir|searchpath|job\.(name|chdir|env_copy))$|"
     r"(job\.(env_set|config)|sweeper|launcher|callbacks|job_logging|hydra_logging)\.)"
@@ -89,7 +92,7 @@ def _unknown_flag(argument: str, rest: Sequence[str]) -> str:
     flag, equals, value = argument.partition("=")
     key = flag.lstrip("-").replace("-", "_")
     keys = nearest_keys(key)
-    close = did_you_mean(flag, FLAGS)
+    close = did_you_mean(flag, (*FLAGS, *_CARRLS))
     if close and key not in {each.rpartition(".")[2] for each in keys}:
         return f"carrl train has no flag {flag}{close}"
     if not equals:
@@ -120,6 +123,7 @@ def readable_overrides(overrides: Sequence[str], is_sweep: bool | None) -> list[
     named = named_overrides(overrides)
     for parsed in map(_parsed, named):
         _check_effect(parsed, is_sweep)
+        _check_folder(parsed)
         _check_option(parsed)
     return named
 
@@ -186,6 +190,13 @@ def _leaves_out_log(override: "Override") -> bool:
 def is_search(override: str) -> bool:
     """Whether an override is of what `carrl tune` searches."""
     return re.match(r"[+~]*search([.=]|$)", override) is not None
+
+
+def _check_folder(override: "Override") -> None:
+    """Raises ConfigError for a folder without a name, as of a variable that is not set: Hydra would take this one."""
+    key, value = override.key_or_group, override.value()
+    if key in _FOLDERS and not override.is_delete() and not str(getattr(value, "text", value) or "").strip():
+        raise ConfigError(f"{key}= lacks its value; write {key}=FOLDER, or leave it out")
 
 
 def _check_option(override: "Override") -> None:

@@ -14,5 +14,5 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises ConfigError."""
         unknown = re.fullmatch(r"unrecognized arguments: (-[^ =]+).*", message, flags=re.DOTALL)
-        close = did_you_mean(unknown[1], self._option_string_actions) if unknown else ""
+        close = did_you_mean(unknown[1], (*self._option_string_actions, "--version")) if unknown else ""
         raise ConfigError(f"{' '.join(message.split())}{close or ';'} {self.prog} --help tells more")

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from carrl.errors import CarrlError
 from carrl.run.lock import locked
-from carrl.run.new_folder import make_new
+from carrl.run.new_folder import check_is_in_no_run, make_new
 from carrl.run.sweep import SweepFolder, job_name
 
 OmegaConf.register_new_resolver("carrl.job_name", job_name, replace=True)
@@ -49,6 +49,7 @@ class Beginning(Callback):
         try:
             _choose_folder("sweep", config)
             folder = SweepFolder(Path(os.path.abspath(config.hydra.sweep.dir)))
+            check_is_in_no_run(folder.path)
             Beginning.lock.enter_context(locked(folder.path))
             folder.begin()
         except CarrlError as error:

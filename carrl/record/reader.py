@@ -28,6 +28,7 @@ from carrl.record.schema import (
     MESSAGE_NAMES,
     METADATA_NAME,
     METRICS,
+    RECOVERY_NAME,
     TRANSITIONS,
     empty_columns,
 )
@@ -86,6 +87,12 @@ class Log:
     def attachments(self) -> Mapping[str, int]:
         """Size of each attachment by name, bytes."""
         return {entry.name: entry.data_size for entry in self._file.index.attachments}
+
+    @property
+    def recovery(self) -> Mapping[str, str]:
+        """What `carrl log recover` noted when it made this log, as JSON by name; empty if it did not."""
+        found = [entry for entry in self._file.index.metadata if entry.name == RECOVERY_NAME]
+        return self._file.read_metadata(found[0]).metadata if found else {}
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
@@ -304,8 +311,10 @@ class Log:
                 if channel.metadata.get("run", self.metadata.get("run")) != self.metadata.get("run"):
                     raise damaged(self.path, "its metadata is that of another run")
                 topics[number] = channel.topic
+        if not topics:
+            raise self._wrong(f"no topic {TRANSITIONS} among: none")
         if TRANSITIONS not in topics.values():
-            raise self._wrong(f"no topic {TRANSITIONS} among: {quoted_names(topics.values())}")
+            raise damaged(self.path, f"it has no topic {TRANSITIONS}, which every log has")
         return topics
 
     def _wrong(self, found: str) -> DamagedLogError:

@@ -9,14 +9,14 @@ import mmap
 import os
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
-from mcap.records import Attachment, Message
+from mcap.records import Attachment, ChunkIndex, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
@@ -25,9 +25,10 @@ from carrl.record.log_file import begin_log
 from carrl.record.mcap_file import McapFile
 from carrl.record.mcap_index import IndexedFile, open_log
 from carrl.record.mcap_scan import McapIndex
+from carrl.record.messages import Episode
 from carrl.record.metadata import ATTACHMENT, describe
 from carrl.record.reader import quoted_names
-from carrl.record.salvage import Content, Pieces, find_pieces, lone_messages, record_at, unpacked
+from carrl.record.salvage import Content, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
 from carrl.record.salvaged_messages import TOPICS, Decoded, decoded_messages
 from carrl.record.schema import CHANNELS, EPISODES, METADATA_NAME, METRICS, RECOVERY_NAME, TRANSITIONS
 
@@ -52,6 +53,9 @@ class Recovery:
         unchecked: messages salvaged that no checksum vouches for.
         runs_left_out: what else the file has something of.
         others_left_out: what is in the file and not part of a log's format.
+        topics_lost: those that every log has and this one does not, or none of whose messages is left.
+        episode_steps: of the salvaged episodes in all; as many transitions had a run that logged every one.
+        duplicates_left_out: messages that were salvaged already.
     """
 
     finished: bool
@@ -69,13 +73,17 @@ class Recovery:
     unchecked: int = 0
     runs_left_out: tuple[str, ...] = ()
     others_left_out: tuple[str, ...] = ()
+    topics_lost: tuple[str, ...] = ()
+    episode_steps: int = 0
+    duplicates_left_out: int = 0
 
     @property
     def complete(self) -> bool:
         """Whether the file was finished, and all that is in it is in the new log."""
         counts = (self.transitions_lost, self.episodes_lost, self.chunks_lost, self.messages_lost)
         left_out = (self.transitions_left_out, self.runs_left_out, self.others_left_out)
-        return self.finished and not any((*counts, *left_out, self.metadata_lost, self.attachments_lost))
+        lost = (self.metadata_lost, self.attachments_lost, self.topics_lost)
+        return self.finished and not any((*counts, *left_out, *lost))
 
 
 def recover(source: str | Path, target: str | Path, run: str | None = None) -> Recovery:
@@ -169,12 +177,12 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
         attachments[name] = record.data
     named = {key.removeprefix(ATTACHMENT) for key in entries or {} if key.startswith(ATTACHMENT)}
     file = begin_log(path, entries or describe(run, 0, {}, attachments), attachments)
+    told = {chunk.chunk_start_offset: chunk for chunk in index.chunks} if index else {}
     try:
         copy = _Copy(file, run)
         for place in sorted(place for place in pieces.places if place.run == run):
             found = [decoded for decoded in decoded_messages(unpacked(content, place), pieces.topics) if decoded]
-            copy.add(found, TOPICS[place.channel])
-        expected = _expected(index, run)
+            copy.add(found, TOPICS[place.channel], is_counted=_is_of(place, told.get(place.position)))
         recovery = Recovery(
             finished=index is not None,
             transitions=copy.written[TRANSITIONS],
@@ -186,17 +194,25 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
             attachments=tuple(attachments),
             attachments_lost=tuple(sorted(named - attachments.keys())),
             chunks_lost=_chunks_lost(index, pieces),
-            messages_lost=sum(max(0, count - copy.found[topic]) for topic, count in expected.items()),
+            messages_lost=_messages_lost(_expected(index, run), copy),
             transitions_left_out=copy.transitions_left_out,
             unchecked=pieces.unchecked,
             runs_left_out=tuple(f"{other:016x}" for other in sorted(pieces.runs - {run})),
             others_left_out=tuple(_others(content, pieces, index)),
+            topics_lost=_topics_lost(index, entries, copy.written),
+            episode_steps=copy.episode_steps,
+            duplicates_left_out=copy.duplicates,
         )
         file.add_metadata(RECOVERY_NAME, {key: json.dumps(value) for key, value in asdict(recovery).items()})
         file.finish()
     finally:
         file.close()
     return recovery
+
+
+def _is_of(place: Place, told: ChunkIndex | None) -> bool:
+    """Whether this is the chunk that the index tells of there; another may have been put in its place."""
+    return told is not None and told.message_start_time <= place.end_time <= told.message_end_time
 
 
 def _expected(index: McapIndex | None, run: int) -> Counter[str]:
@@ -207,6 +223,22 @@ def _expected(index: McapIndex | None, run: int) -> Counter[str]:
         if channel.topic in CHANNELS and channel.metadata.get("run", name) == name:
             expected[channel.topic] += index.messages[number] if index else 0
     return expected
+
+
+def _messages_lost(expected: Counter[str], copy: "_Copy") -> int:
+    return sum(max(0, count - max(copy.found[topic], copy.counted[topic])) for topic, count in expected.items())
+
+
+def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, written: Counter[str]) -> tuple[str, ...]:
+    """The topics that a finished file lacks, and that of transitions where episodes ended and not one is left.
+
+    Only in the first part of a run no episode ends before a transition is logged.
+    """
+    topics = {channel.topic for channel in index.channels.values()} if index else set(CHANNELS)
+    is_first = entries is not None and entries["part"] == "0"
+    if is_first and written[EPISODES] and not written[TRANSITIONS]:
+        topics.discard(TRANSITIONS)
+    return tuple(topic for topic in CHANNELS if topic not in topics)
 
 
 def _chunks_lost(index: McapIndex | None, pieces: Pieces) -> int:
@@ -237,7 +269,10 @@ class _Copy:
 
     Attributes:
         found: messages so far, each counted once.
+        counted: messages so far that the file's statistics count, duplicates among them.
+        duplicates: messages that were there before.
         written: transitions, and messages of the other topics.
+        episode_steps: of the episodes so far.
         transitions_lost: missing so far.
         transitions_left_out: that did not fit those before.
     """
@@ -245,8 +280,9 @@ class _Copy:
     def __init__(self, file: McapFile, run: int) -> None:
         self._file, self._run = file, run
         self.found: Counter[str] = Counter()
+        self.counted: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
-        self.transitions_lost = self.transitions_left_out = 0
+        self.duplicates = self.episode_steps = self.transitions_lost = self.transitions_left_out = 0
         self._next_offset = 0
         self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
@@ -257,9 +293,10 @@ class _Copy:
     def episodes_lost(self) -> int:
         return max(0, self._highest[EPISODES] - self.written[EPISODES])
 
-    def add(self, found: Iterable[Decoded], topic: str) -> None:
-        """Appends what is of the topic."""
+    def add(self, found: Iterable[Decoded], topic: str, is_counted: bool) -> None:
+        """Appends what is of the topic; its statistics count what is in a chunk that the file's index tells of."""
         own = [decoded for decoded in found if (decoded.run, decoded.topic) == (self._run, topic)]
+        self.counted[topic] += len(own) if is_counted else 0
         own.sort(key=lambda decoded: decoded.batch.offset if decoded.batch else 0)  # a chunk may have them in any order
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
@@ -270,6 +307,7 @@ class _Copy:
         message, topic, batch = decoded.message, decoded.topic, decoded.batch
         identity = _identity(decoded)
         if identity in self._seen:
+            self.duplicates += 1
             return None
         self._seen.add(identity)
         self.found[topic] += 1
@@ -277,6 +315,7 @@ class _Copy:
         if batch is None:
             self._highest[topic] = max(self._highest[topic], message.sequence + 1)
             self.written[topic] += 1
+            self.episode_steps += decoded.small.length if isinstance(decoded.small, Episode) else 0
         else:
             self._row_shapes = self._row_shapes or row_shapes(batch.columns)
             if batch.offset < self._next_offset or row_shapes(batch.columns) != self._row_shapes:

@@ -14,6 +14,7 @@ from mcap.records import Channel, Message
 from carrl.record.codec import Batch, decode_small, encode_small
 from carrl.record.mcap_records import message_of, parse, records_in
 from carrl.record.mcap_scan import McapIndex
+from carrl.record.messages import Episode, Metrics
 from carrl.record.schema import CHANNELS, SMALL_MESSAGES, TRANSITIONS
 
 TOPICS = {channel: topic for topic, channel in CHANNELS.items()}
@@ -34,12 +35,13 @@ _CHANNEL = re.compile(
 
 @dataclass(frozen=True)
 class Decoded:
-    """A message that says what its topic's messages say; `batch` if it is one of transitions."""
+    """A message that says what its topic's messages say; `batch` if it is one of transitions, else `small`."""
 
     message: Message
     topic: str
     run: int
-    batch: Batch | None
+    batch: Batch | None = None
+    small: Episode | Metrics | None = None
 
     @property
     def number(self) -> int:
@@ -77,11 +79,11 @@ def _decode_as(topic: str, message: Message, is_sure: bool) -> Decoded | None:
     """The message as one of the topic; if it may be of another, only if it says nothing but what this topic's do."""
     if topic == TRANSITIONS:
         batch = Batch.decode(message.data)
-        return Decoded(message, topic, batch.run, batch)
+        return Decoded(message, topic, batch.run, batch=batch)
     if topic in SMALL_MESSAGES:
         run, small = decode_small(topic, message.data)
         if is_sure or encode_small(topic, run, small) == message.data:
-            return Decoded(message, topic, run, None)
+            return Decoded(message, topic, run, small=small)
     return None
 
 

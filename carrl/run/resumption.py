@@ -11,7 +11,17 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from carrl.errors import CheckpointError, ConfigError, shown
-from carrl.run.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, load_config, seed_folders
+from carrl.run.divergence import REPORT as DIVERGENCE
+from carrl.run.files import (
+    CONFIG,
+    EVALUATIONS,
+    LAP,
+    LEARNING_CURVE,
+    METRICS,
+    SUMMARY,
+    load_config,
+    seed_folders,
+)
 from carrl.run.progress import Progress, progress_of
 from carrl.run.state_file import PREVIOUS, STATE, load_state
 
@@ -34,6 +44,19 @@ _IN_THE_SIMULATOR = (
     "collector.address",
 )
 """What a run that learns from logs does not read."""
+_FILES = (
+    METRICS,
+    EVALUATIONS,
+    SUMMARY,
+    LEARNING_CURVE,
+    LAP,
+    DIVERGENCE,
+    STATE,
+    PREVIOUS,
+    "checkpoints/best.pt",
+    "checkpoints/last.pt",
+)
+"""What is written in the folder of a run or of one of its seeds; a log that is none goes on in another file."""
 _HAS_LINKS = "wandb"
 """A logger's own folder, in which it keeps links to its latest files."""
 
@@ -109,8 +132,9 @@ def check_contents(run: Path) -> None:
     """Checks that all in a run's folder lies there: what is written through a link, a stranger has placed.
 
     Raises:
-        CheckpointError: there is a symbolic link, or what is neither a file nor a folder.
+        CheckpointError: there is a symbolic link, what is neither a file nor a folder, or a folder in a file's place.
     """
+    _check_files(run)
     for folder, folders, files in os.walk(run, onerror=_refuse_unreadable):
         for name in (*folders, *files):
             path = Path(folder, name)
@@ -122,6 +146,15 @@ def check_contents(run: Path) -> None:
                 )
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode)):
                 raise CheckpointError(f"'{path}' is neither a file nor a folder; remove it, and the run is resumed")
+
+
+def _check_files(run: Path) -> None:
+    """Refuses a folder where the run would write a file, which it would notice only when it ends."""
+    for path in (place / name for place in (run, *run.glob("seed=*")) for name in _FILES):
+        if os.path.isdir(path) and not os.path.islink(path):
+            raise CheckpointError(
+                f"'{path}' is a folder, but the run writes a file there; move it away, and it is resumed"
+            )
 
 
 def _is_a_loggers(link: Path) -> bool:

@@ -148,6 +148,23 @@ def test_a_refused_run_leaves_no_folder(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("place", ["checkpoints", "seed=7", "a/b"])
+def test_nothing_begins_in_the_folder_of_a_run(place, run, tmp_path, capsys):
+    folder = shutil.copytree(run, tmp_path / "run")
+    before = contents(folder)
+    for begin in (train, sweep):
+        assert begin(folder / place) == 2
+        assert f"'{folder / place}' lies in the folder of the run '{folder}'; choose" in capsys.readouterr().err
+    assert contents(folder) == before
+
+
+def test_a_run_begins_below_a_sweep_or_what_another_program_left(swept, tmp_path):
+    folder = shutil.copytree(swept, tmp_path / "sweep")
+    (folder / ".hydra").mkdir()
+    (folder / ".hydra" / "config.yaml").write_text("db: mysql\n")
+    assert train(folder / "seed=3") == 0
+
+
 def test_runs_of_the_same_second_get_a_folder_each(one_moment):
     for seed in (1, 2, 3):
         assert main(["train", *TINY, f"seed={seed}"]) == 0

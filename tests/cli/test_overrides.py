@@ -68,12 +68,17 @@ IGNORED_ONCE = [
     (["experiment=tune", "seed=3"], "seed=3 has no effect beside trainer.seeds=['0..2'], which names the seed of"),
     (["-m", "seed=0,1", "trainer.seeds=[4..5]"], "seed=0,1 has no effect beside trainer.seeds=['4..5']"),
     (["-m", "hydra.run.dir=x"], "hydra.run.dir=x has no effect on a sweep; write hydra.sweep.dir=, or leave -m out"),
+    (["hydra.run.dir="], "hydra.run.dir= lacks its value; write hydra.run.dir=FOLDER, or leave it out"),
+    (["hydra.run.dir=' '"], "hydra.run.dir= lacks its value; write hydra.run.dir=FOLDER, or leave it out"),
+    (["-m", "hydra.sweep.dir="], "hydra.sweep.dir= lacks its value; write hydra.sweep.dir=FOLDER, or leave it out"),
+    (["-m", "hydra.sweep.subdir="], "hydra.sweep.subdir= lacks its value; write hydra.sweep.subdir=FOLDER, or leave"),
     (["resume=a", "resume=b"], "resume= is given 2 times; one run is resumed at a time"),
     (["--seed", "3"], "carrl train has no flag --seed; write seed=3"),
     (["--seed=3"], "carrl train has no flag --seed; write seed=3"),
     (["loss=dqn", "--lr", "0.1"], "carrl train has no flag --lr; write optimizer.lr=0.1"),
     (["--max-steps"], "carrl train has no flag --max-steps; write env.max_steps=VALUE"),
     (["--mulitrun"], "carrl train has no flag --mulitrun; did you mean --multirun?"),
+    (["--verison"], "carrl train has no flag --verison; did you mean --version?"),
     (["--cfg"], "--cfg lacks its value; write --cfg job|hydra|all"),
     (["--cfg", "jobs"], "--cfg is 'jobs'; choose one of: job, hydra, all"),
     (["--resolve"], "--resolve has no effect without --cfg; add --cfg job, or leave --resolve out"),
@@ -271,3 +276,10 @@ assert "torch" not in sys.modules
     finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stderr
     assert len(finished.stderr.splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    "verb", [[], ["tune"], ["evaluate", "run"], ["report", "run"], ["log", "check", "a"], ["track", "list"]]
+)
+def test_a_misspelt_flag_of_carrl_itself_is_answered_with_it_after_each_verb(verb, capsys):
+    assert "; did you mean --version?" in refused(capsys, *verb, "--verison")

@@ -21,6 +21,14 @@ class EndedError(Exception):
     """What stands for the end of the process."""
 
 
+@pytest.fixture(autouse=True)
+def _not_under_nohup():
+    """Signals that the tests' own process ignores, as under nohup, would stay ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.fixture
 def at_its_end(monkeypatch):
     def end(code):

@@ -47,13 +47,15 @@ def rewrite(source: Path, target: Path, *others: Path, topics=(TRANSITIONS, EPIS
         target: the new file.
         others: further logs, that are merged into it.
         topics: in which order their channels are made; one named twice has two, used by turns.
-        options: of the writer; also `sequence`, for every message in place of its own, and `backwards`.
+        options: of the writer; also `sequence`, for every message in place of its own, `backwards`, and `without`,
+            topics whose messages, and names of attachments that, are left out.
     """
     sequence, backwards = options.pop("sequence", None), options.pop("backwards", False)
+    without = options.pop("without", ())
     with target.open("wb") as file:
         writer = Writer(file, **options)
         writer.start(library="another program")
-        streams = [_copied(path, writer, topics) for path in (source, *others)]
+        streams = [_copied(path, writer, topics, without) for path in (source, *others)]
         merged = list(heapq.merge(*streams, key=lambda entry: entry[0]))
         for _, _, channel, message in reversed(merged) if backwards else merged:
             number = message.sequence if sequence is None else sequence
@@ -62,14 +64,14 @@ def rewrite(source: Path, target: Path, *others: Path, topics=(TRANSITIONS, EPIS
     return target
 
 
-def _copied(path: Path, writer: Writer, topics) -> list[tuple]:
+def _copied(path: Path, writer: Writer, topics, without) -> list[tuple]:
     """Copies what is not a message, and returns the messages in their order: time, place, channel, message."""
     with path.open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
         for metadata in reader.iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
-        for attachment in reader.iter_attachments():
+        for attachment in (each for each in reader.iter_attachments() if each.name not in without):
             writer.add_attachment(
                 attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
             )
@@ -82,4 +84,5 @@ def _copied(path: Path, writer: Writer, topics) -> list[tuple]:
         return [
             (message.log_time, place, numbers[channel.topic][place % len(numbers[channel.topic])], message)
             for place, (_, channel, message) in enumerate(reader.iter_messages(log_time_order=False))
+            if channel.topic in topics and channel.topic not in without
         ]

@@ -26,7 +26,7 @@ from carrl.log import (
 from carrl.record.mcap_index import IndexedFile
 from carrl.record.mcap_summary import serialise
 from carrl.record.messages import Episode, Metrics
-from carrl.record.schema import METRICS, TRANSITIONS
+from carrl.record.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 from carrl.record.writer import LogWriter
 from tests.record.rewriting import BACKWARDS, NOTHING_TOLD, VARIANTS, rewrite
 
@@ -178,6 +178,29 @@ def test_a_run_that_the_file_does_not_hold_is_answered_with_those_that_it_does(l
     assert not (tmp_path / "new.mcap").exists()
 
 
+def test_a_log_merged_with_itself_loses_nothing(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "merged.mcap", log_path)
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.messages_lost, recovery.duplicates_left_out, recovery.complete) == (0, 6, True)
+    assert read_columns(tmp_path / "recovered.mcap")["reward"].tolist() == read_columns(log_path)["reward"].tolist()
+    assert read_episodes(tmp_path / "recovered.mcap") == read_episodes(log_path)
+
+
+def test_a_duplicate_in_the_place_of_a_message_does_not_hide_its_loss(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", chunk_size=1, compression=CompressionType.NONE)
+    with IndexedFile(path) as file:
+        first, *_, last = [chunk for chunk in file.index.chunks if 1 in chunk.message_index_offsets]
+    content, begin = path.read_bytes(), last.chunk_start_offset
+    message = content[: first.chunk_start_offset + first.chunk_length][
+        2 - last.uncompressed_size :
+    ]  # offset 0 has no field
+    copy = Chunk("", message, first.message_end_time, first.message_start_time, zlib.crc32(message), len(message))
+    path.write_bytes(content[:begin] + serialise(copy) + bytes(2) + content[begin + last.chunk_length :])
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.transitions, recovery.messages_lost, recovery.duplicates_left_out) == (5, 1, 1)
+    assert not recovery.complete
+
+
 def test_two_parts_of_a_run_merged_into_one_file_are_no_damage_and_what_recovery_leaves_out_is_told(
     tmp_path, transitions
 ):
@@ -271,6 +294,40 @@ def test_topics_are_those_of_the_channel_records(log_path, tmp_path):
     with IndexedFile(path) as file:
         assert [file.index.channels[number].topic for number in (1, 3)] == [METRICS, TRANSITIONS]
     assert np.array_equal(read_columns(path)["pose"], read_columns(log_path)["pose"])
+
+
+@pytest.mark.parametrize("lost", CHANNELS)
+def test_a_topic_that_another_program_left_out_is_named(log_path, tmp_path, lost):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", topics=[topic for topic in CHANNELS if topic != lost])
+    with pytest.raises(DamagedLogError, match=f"is damaged: it has no topic {lost}, which every log has; salvage"):
+        verify(path)
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.topics_lost, recovery.complete) == ((lost,), False)
+    assert recovery.episode_steps == (0 if lost == EPISODES else 9)
+    verify(tmp_path / "recovered.mcap")  # of which it is known
+
+
+def test_episodes_without_a_transition_are_not_called_intact(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", without=(TRANSITIONS,))
+    with pytest.raises(DamagedLogError, match="its ended episodes have 9 steps, but it has no transitions"):
+        verify(path)
+    recovery = recover(path, tmp_path / "recovered.mcap")
+    assert (recovery.topics_lost, recovery.episode_steps, recovery.complete) == ((TRANSITIONS,), 9, False)
+    verify(tmp_path / "recovered.mcap")
+
+
+def test_attachments_that_another_program_left_out_are_named(log_path, tmp_path):
+    path = rewrite(log_path, tmp_path / "rewritten.mcap", without=("track.json",))
+    with pytest.raises(
+        DamagedLogError, match=r"it lacks the attachments that its metadata tells of: 'track.json'; salv"
+    ):
+        verify(path)
+    recovered = tmp_path / "recovered.mcap"
+    assert recover(path, recovered).attachments_lost == ("track.json",)
+    assert verify(recovered) == verify(log_path)
+    again = rewrite(recovered, tmp_path / "again.mcap", without=("config.yaml",))
+    with pytest.raises(DamagedLogError, match=r"its metadata tells of: 'config.yaml'; salvage"):
+        verify(again)
 
 
 def test_two_channels_of_one_topic_count_as_one(log_path, tmp_path):

@@ -104,7 +104,9 @@ def test_a_finished_log_comes_out_whole(own, recovered):
     recovery, found = recovered(own.content)
     assert found == own.says
     names = ("config.yaml", "track.json")
-    assert recovery == Recovery(True, BATCHES * BATCH, BATCHES, BATCHES, 0, 0, False, names, (), 0)
+    assert recovery == Recovery(
+        True, BATCHES * BATCH, BATCHES, BATCHES, 0, 0, False, names, (), 0, episode_steps=BATCHES * BATCH
+    )
     assert recovery.complete
 
 

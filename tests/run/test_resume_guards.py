@@ -201,6 +201,18 @@ def test_a_link_to_nothing_is_refused(name, copy_of, tmp_path, capsys):
     assert not (tmp_path / "nothing").exists()
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["summary.json", "seed=3/summary.json", "seed=7/lap.png", "learning_curve.png", "seed=3/checkpoints/best.pt"],
+)
+def test_a_folder_in_the_place_of_a_runs_file_is_refused_at_once(name, copy_of, capsys):
+    run = copy_of("stopped")
+    (run / name).unlink(missing_ok=True)
+    (run / name).mkdir()
+    said = f"'{run / name}' is a folder, but the run writes a file there; move it away, and it is resumed"
+    assert said in refused(capsys, run)
+
+
 def test_the_links_that_a_logger_keeps_within_its_folder_are_left_to_it(tmp_path):
     (tmp_path / "run" / "wandb" / "offline-run-1").mkdir(parents=True)
     link = tmp_path / "run" / "wandb" / "latest-run"

@@ -9,6 +9,7 @@ from carrl.cli.log.arguments import Verbs, add_json, add_verb
 from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted, print_json
 from carrl.log import Recovery, recover
+from carrl.record.schema import TRANSITIONS
 
 
 def add_to(verbs: Verbs) -> None:
@@ -49,6 +50,8 @@ def _lost(recovery: Recovery) -> Iterator[str]:
         yield "Nothing is known to be lost: the log was finished, and every part of it is there."
     if not recovery.finished:
         yield "The log was not finished: what came after its last intact part is lost, and nobody knows how much."
+    for topic in recovery.topics_lost:
+        yield f"Lost: topic {topic}, which every log has{_steps(recovery) if topic == TRANSITIONS else ''}."
     if recovery.transitions_lost:
         yield f"Lost: {counted(recovery.transitions_lost, 'transition')} before or between those salvaged."
     if recovery.episodes_lost:
@@ -64,9 +67,17 @@ def _lost(recovery: Recovery) -> Iterator[str]:
     yield from _left_out(recovery)
 
 
+def _steps(recovery: Recovery) -> str:
+    if not recovery.episodes:
+        return ""
+    return f"; the ended episodes have {counted(recovery.episode_steps, 'step')}, whose transitions are not there"
+
+
 def _left_out(recovery: Recovery) -> Iterator[str]:
     if recovery.unchecked:
         yield f"Not verified: {counted(recovery.unchecked, 'message')}, for which no checksum vouches."
+    if recovery.duplicates_left_out:
+        yield f"Left out: {counted(recovery.duplicates_left_out, 'duplicate message')}."
     if recovery.transitions_left_out:
         yield f"Left out: {counted(recovery.transitions_left_out, 'transition')} that do not follow those salvaged."
     if recovery.runs_left_out:

@@ -91,11 +91,31 @@ def test_what_was_salvaged_is_told_in_json(run, cut_log, tmp_path):
 
 def test_each_kind_of_loss_has_its_sentence(run, log_path, tmp_path, monkeypatch):
     loss = carrl.log.Recovery(
-        True, 9, 2, 1, 1_200, 3, True, ("config.yaml",), ("track.json",), 2, 4, 20, 5, ("0a", "0b"), ("topic '/notes'",)
+        True,
+        9,
+        2,
+        1,
+        1_200,
+        3,
+        True,
+        ("config.yaml",),
+        ("track.json",),
+        2,
+        4,
+        20,
+        5,
+        ("0a", "0b"),
+        ("topic '/notes'",),
+        ("/transitions", "/metrics"),
+        1_500,
+        7,
     )
     monkeypatch.setattr("carrl.cli.log.recover.recover", lambda source, target, run: loss)
     assert run("recover", log_path, "new.mcap").splitlines() == [
         "new.mcap: salvaged 9 transitions, 2 ended episodes, 1 message of metrics, with config.yaml.",
+        "Lost: topic /transitions, which every log has; the ended episodes have 1,500 steps, whose transitions are not "
+        "there.",
+        "Lost: topic /metrics, which every log has.",
         "Lost: 1,200 transitions before or between those salvaged.",
         "Lost: 3 ended episodes before or between those salvaged.",
         "Lost: 2 chunks that the log's index tells of.",
@@ -103,6 +123,7 @@ def test_each_kind_of_loss_has_its_sentence(run, log_path, tmp_path, monkeypatch
         "Lost: the metadata, what the log said of its run; show, replay and pictures need it.",
         "Lost: track.json.",
         "Not verified: 5 messages, for which no checksum vouches.",
+        "Left out: 7 duplicate messages.",
         "Left out: 20 transitions that do not follow those salvaged.",
         "Left out: all of the runs 0a, 0b; salvage another run with --run RUN.",
         "Left out, for it is not part of a log: topic '/notes'.",
