@@ -2,6 +2,7 @@
 
 import argparse
 import re
+from pathlib import Path
 from typing import NoReturn
 
 from carrl.cli.known_keys import did_you_mean
@@ -16,3 +17,10 @@ class Parser(argparse.ArgumentParser):
         unknown = re.fullmatch(r"unrecognized arguments: (-[^ =]+).*", message, flags=re.DOTALL)
         close = did_you_mean(unknown[1], (*self._option_string_actions, "--version")) if unknown else ""
         raise ConfigError(f"{' '.join(message.split())}{close or ';'} {self.prog} --help tells more")
+
+
+def named_folder(text: str) -> Path:
+    """The folder of this name; an empty one, as of a variable that is not set, would be the current folder."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it lacks its value; name a folder")
+    return Path(text)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from carrl.cli.parser import Parser
+from carrl.cli.parser import Parser, named_folder
 from carrl.errors import ConfigError
 from carrl.run.report.document import as_json
 from carrl.run.report.findings import Findings, find
@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("directories", nargs="+", type=Path, metavar="DIR", help="a run, or a folder of runs")
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="write report.md, CSV, JSON and figures into this folder"
+        "--out", type=named_folder, metavar="FOLDER", help="write report.md, CSV, JSON and figures into this folder"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of Markdown")
     parser.add_argument(

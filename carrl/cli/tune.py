@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from carrl.cli.overrides import is_search, readable_overrides
-from carrl.cli.parser import Parser
+from carrl.cli.parser import Parser, named_folder
 from carrl.cli.plain import composed
 from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
 from carrl.cli.training import train
@@ -257,6 +257,8 @@ def _parser() -> argparse.ArgumentParser:
         "drive: how well it drives at its best",
     )
     parser.add_argument("--no-pruning", action="store_true", help="give up no trial before its end")
-    parser.add_argument("--folder", type=Path, help="of the study, to go on with it (default: outputs/tune/DATE/TIME)")
+    parser.add_argument(
+        "--folder", type=named_folder, help="of the study, to go on with it (default: outputs/tune/DATE/TIME)"
+    )
     parser.add_argument("--storage", metavar="URL", help=f"of the study (default: sqlite:///FOLDER/{STUDY})")
     return parser

@@ -67,6 +67,8 @@ def _places(pairs: np.ndarray, centre: np.ndarray, outward: np.ndarray, border: 
     lag = np.full(count, np.nan)
     lag[row[order]] = (_lag(piece - row, count) * count + share)[order]
     found = np.flatnonzero(np.isfinite(lag))
+    if not len(found):  # the border is nowhere near: what the file has is then found to be no road
+        return np.arange(count, dtype=np.float64)
     return np.arange(count) + np.interp(np.arange(count), found, lag[found], period=count)
 
 

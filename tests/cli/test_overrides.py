@@ -283,3 +283,8 @@ assert "torch" not in sys.modules
 )
 def test_a_misspelt_flag_of_carrl_itself_is_answered_with_it_after_each_verb(verb, capsys):
     assert "; did you mean --version?" in refused(capsys, *verb, "--verison")
+
+
+@pytest.mark.parametrize("flag", [["tune", "--folder"], ["report", "run", "--out"]])
+def test_a_flags_folder_without_a_name_is_refused(flag, capsys):
+    assert f"argument {flag[-1]}: it lacks its value; name a folder" in refused(capsys, *flag, "")

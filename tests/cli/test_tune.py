@@ -69,13 +69,6 @@ def test_a_study_kept_elsewhere_does_not_overwrite_the_trials_of_another(tmp_pat
     assert (tmp_path / "trial=1" / "summary.json").read_text() == "work"
 
 
-@needs_optuna
-def test_a_study_in_a_file_is_one_sentence(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert tune(tmp_path / "file", "--trials", "1") == 2
-    assert "is not a folder; name one" in capsys.readouterr().err
-
-
 class Trial:
     """A trial that is hopeless after so many reports."""
 

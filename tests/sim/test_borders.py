@@ -65,6 +65,13 @@ def test_a_border_that_a_normal_does_not_meet_is_cut_between_its_neighbours():
     assert (steps > -1e-9).all()
 
 
+def test_a_border_that_no_normal_meets_is_left_as_it_is():
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    centre = 10 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    inside = 0.5 * np.stack([np.cos(angle + 2), np.sin(angle + 2)], axis=1)  # and said to be on the outer side
+    np.testing.assert_array_equal(cut_abreast(centre, inside, is_left=False), inside)
+
+
 @pytest.mark.parametrize("copies", [1, 3])
 def test_rows_that_repeat_the_one_before_are_left_out_and_counted(load, copies: int):
     table = ring()
