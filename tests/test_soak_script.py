@@ -75,7 +75,7 @@ def test_growth_gives_exit_code_1(monkeypatch, capsys):
 def test_a_run_that_fails_is_one_sentence(capsys):
     assert soak.main(["--frames", "10", "threads=0"]) == 1
     assert "scripts/soak: `carrl train trainer.frames=10" in (error := capsys.readouterr().err)
-    assert error.endswith("threads is 0; it must be a whole number of at least 1\n")
+    assert error.endswith("threads is 0; it must be a whole number from 1 to 1024\n")
 
 
 def test_bad_arguments_are_one_sentence_and_exit_code_2(capsys):

@@ -120,7 +120,8 @@ class EpisodeTrace:
         """What each ray read before each step and after the last, [T + 1, R], m."""
         rays = len(self.scene.sensor_angles)
         seen = [self.columns["observation"][:, :rays], self.columns["next_observation"][-1:, :rays]]
-        return np.vstack(seen).astype(np.float64).clip(-_GREATEST, _GREATEST) * self.scene.sensor_range
+        readings = np.vstack(seen).astype(np.float64)
+        return np.where(np.isfinite(readings), readings.clip(-_GREATEST, _GREATEST), readings) * self.scene.sensor_range
 
     @cached_property
     def gates_passed(self) -> NDArray[np.int64]:
