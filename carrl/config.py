@@ -15,7 +15,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "track": ("carrl.sim.track.Track.load", "carrl.sim.track.Track.random", "carrl.sim.circuits.make_circuits"),
     "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
     "sensor": ("carrl.sim.sensor.Sensor",),
-    "action": ("carrl.env.action.DiscreteActions", "carrl.env.action.ContinuousActions"),
+    "action": ("carrl.env.action.DiscreteActions",),
     "observation": ("carrl.env.observation.Rays", "carrl.env.observation.LastAction"),
     "reward": tuple(f"carrl.env.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
     "start": ("carrl.env.start.Start",),

@@ -31,7 +31,10 @@ def write_log(path, seed):
     draw = np.random.default_rng(seed)
     with LogWriter(path, attachments={"config.yaml": b"seed: %d\n" % seed, "track.json": b"{}"}, metadata={}) as writer:
         for number in range(BATCHES):
-            columns = {c.name: draw.random((BATCH, *(e or 7 for e in c.shape))).astype(c.dtype) for c in COLUMNS}
+            columns = {
+                c.name: draw.random((BATCH, *(7 if isinstance(e, str) else e for e in c.shape))).astype(c.dtype)
+                for c in COLUMNS
+            }
             columns["time_ns"] = np.arange(number * BATCH, (number + 1) * BATCH)
             writer.write(tensordict_of(columns))
             end = int(columns["time_ns"][-1])
@@ -145,7 +148,10 @@ def test_places_of_items_are_found_only_in_order_and_once():
 
 
 def test_rows_are_as_long_as_the_values_of_a_transition():
-    columns = {c.name: np.zeros((3, *(extent or 7 for extent in c.shape)), c.dtype) for c in COLUMNS}
+    columns = {
+        c.name: np.zeros((3, *(7 if isinstance(extent, str) else extent for extent in c.shape)), c.dtype)
+        for c in COLUMNS
+    }
     columns["reward"][1] = np.float32("nan")
     rows = rows_of(columns)
     assert {len(row) for row in rows} == {sum(values[0].nbytes for values in columns.values())}

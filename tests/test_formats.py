@@ -63,7 +63,7 @@ def _apart(points):
 
 
 def _values(column, count, rays):
-    shape = (count, *(extent or rays for extent in column.shape))
+    shape = (count, *(rays if isinstance(extent, str) else extent for extent in column.shape))
     if column.dtype == "bool":
         return arrays.arrays(np.bool_, shape)
     if column.dtype == "float32":

@@ -25,7 +25,7 @@ CALLS = {
 }
 
 
-@pytest.mark.parametrize("group", ["track", "vehicle", "sensor", "reward", "network"])
+@pytest.mark.parametrize("group", ["track", "vehicle", "sensor", "action", "network"])
 @pytest.mark.parametrize("target", CALLS)
 def test_a_config_calls_nothing_but_what_its_group_offers(tmp_path, marker, capsys, group, target):
     values = json.loads(json.dumps(CALLS[target]).replace("{marker}", str(marker)))
@@ -33,14 +33,31 @@ def test_a_config_calls_nothing_but_what_its_group_offers(tmp_path, marker, caps
     assert f"{group}._target_ is " in refused(capsys, "evaluate", run)
 
 
+@pytest.mark.parametrize("term", ["reward.gate", "observation.rays"])
+@pytest.mark.parametrize("target", CALLS)
+def test_a_term_calls_nothing_but_what_its_group_offers(tmp_path, marker, capsys, term, target):
+    values = json.loads(json.dumps(CALLS[target]).replace("{marker}", str(marker)))
+    group, name = term.split(".")
+    run = make_run(tmp_path / "run", **{group: {name: {"_target_": target, **values}}})
+    assert f"{term}._target_ is " in refused(capsys, "evaluate", run)
+
+
+def targets_in(node):
+    """Whatever a node of the configuration and those in it name."""
+    if not isinstance(node, dict):
+        return set()
+    own = {node["_target_"]} if "_target_" in node else set()
+    return own.union(*map(targets_in, node.values()))
+
+
 def test_the_targets_allowed_are_those_that_the_yaml_files_name():
     named: dict[str, set[str]] = {}
     for path in config_dir().glob("*/*.yaml"):
         node = yaml.safe_load(path.read_text()) or {}
         group = path.parent.name
-        target = (node.get(group) if group in node else node).get("_target_")
-        if target:
-            named.setdefault(group, set()).add(target)
+        found = targets_in(node.get(group) if group in node else node)
+        if found and group != "experiment":
+            named[group] = named.get(group, set()) | found
     assert named == {group: set(targets) for group, targets in TARGETS.items()}
 
 

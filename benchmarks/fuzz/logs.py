@@ -104,7 +104,10 @@ class LogFile(Parser):
 
     def _columns(self, draw: Random) -> Columns:
         rays = 7 if draw.random() < 0.9 else draw.choice((0, 1, 31))
-        columns = {c.name: np.zeros((_STEPS, *(extent or rays for extent in c.shape)), c.dtype) for c in COLUMNS}
+        columns = {
+            c.name: np.zeros((_STEPS, *(rays if isinstance(extent, str) else extent for extent in c.shape)), c.dtype)
+            for c in COLUMNS
+        }
         columns["step"], columns["time_ns"] = np.arange(_STEPS), np.arange(_STEPS) * 10**8
         for _ in range(draw.choice((0, 0, 1, 2))):
             values = columns[draw.choice(list(columns))]

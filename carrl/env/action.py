@@ -154,7 +154,7 @@ def steer3() -> DiscreteActions:
 def in_words(actions: ActionMap) -> str:
     """What an action may be, such as "0 forward, 1 left or 2 right"."""
     if not actions.names:
-        return f"a finite number for each of {', '.join(actions.control_names)}, -1 to 1"
+        return f"a number within -1 and 1 for each of {', '.join(actions.control_names)}"
     *others, last = (f"{number} {name}" for number, name in enumerate(actions.names))
     return f"{', '.join(others)} or {last}" if others else last
 

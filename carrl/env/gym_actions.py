@@ -71,7 +71,7 @@ def _is_action(given: np.ndarray, cars: tuple[int], actions: ActionMap) -> np.nd
         fits = given.dtype.kind in "iu" and given.shape == cars
         return (given >= 0) & (given < len(actions.names)) if fits else np.array(False)
     fits = given.dtype.kind in "iuf" and given.shape == (*cars, len(actions.control_names))
-    return np.isfinite(given).all(axis=-1) if fits else np.array(False)
+    return (np.abs(given) <= 1).all(axis=-1) if fits else np.array(False)  # nan fails it, too
 
 
 def _as_tensor(given: np.ndarray, actions: ActionMap) -> Tensor:

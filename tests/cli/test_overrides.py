@@ -166,10 +166,16 @@ def test_the_known_keys_are_those_of_the_configuration():
 
 
 def test_every_leaf_of_the_default_configuration_is_its_own_nearest_key():
-    leaves = [f"{group}.{key}" for group, node in compose().items() if isinstance(node, dict) for key in node]
-    for leaf in leaves:
-        if "._" not in leaf:
+    for leaf in _leaves("", compose()):
+        if "." in leaf and "._" not in leaf:
             assert leaf in nearest_keys(leaf)
+
+
+def _leaves(name, node):
+    """The full names of the keys that have no further ones."""
+    if not isinstance(node, dict):
+        return [name]
+    return [leaf for key, value in node.items() for leaf in _leaves(f"{name}.{key}".lstrip("."), value)]
 
 
 def test_flags_may_stand_anywhere():

@@ -103,4 +103,4 @@ def test_what_does_not_go_together_is_refused_in_one_sentence(overrides, message
 
 def test_shaping_discounts_as_the_loss_does():
     config = compose("reward=shaped", "loss.gamma=0.8")
-    assert config["reward"]["discount"] == 0.8
+    assert config["reward"]["shaping"]["discount"] == 0.8
