@@ -75,7 +75,7 @@ class DiscreteActions:
         """Of the settings."""
         return tuple(self.settings)
 
-    @property
+    @cached_property
     def spec(self) -> TensorSpec:
         """Indices into `names`."""
         return Categorical(len(self.names), dtype=torch.int64)
@@ -122,7 +122,7 @@ class ContinuousActions:
         """None."""
         return ()
 
-    @property
+    @cached_property
     def spec(self) -> TensorSpec:
         """Within -1 and 1, [C]."""
         return Bounded(-1.0, 1.0, shape=(len(self.control_names),), dtype=torch.float32)
