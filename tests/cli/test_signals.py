@@ -22,11 +22,17 @@ class EndedError(Exception):
 
 
 @pytest.fixture(autouse=True)
-def _not_under_nohup():
-    """Signals that the tests' own process ignores, as under nohup, would stay ignored."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+def _in_the_foreground():
+    """Signals that the tests' own process ignores, as in the background or under nohup, would stay ignored."""
+    defaults = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    before = {number: signal.signal(number, handler) for number, handler in defaults.items()}
     yield
-    signal.signal(signal.SIGHUP, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
