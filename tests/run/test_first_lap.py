@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from carrl.env.reward import Reward
 from carrl.run.agent_run import AgentRun, FirstLap
 from carrl.run.build import build_offline_pipeline, build_pipeline
 from carrl.run.evaluation import drive, rule_policy
@@ -20,21 +19,19 @@ from carrl.run.summary import summarise
 from carrl.run.trainer import Trainer
 from carrl.run.training import Training
 from carrl.run.trial import Trial
-from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import Simulator
-from carrl.sim.track import Track
-from carrl.sim.vehicle import Vehicle
 from carrl.view.console import print_summaries, print_summary
 from carrl.view.sweep import _figures, _result
 from tests.configs import compose
 from tests.data.logs import write_log
 from tests.run_folders import write_offline_run, write_run
+from tests.worlds import make_world
 
 
 @pytest.fixture(scope="module")
 def lap():
     """A trial that completes its lap, driven by the rule."""
-    (found,) = drive(Simulator(Track.load("oval"), Vehicle(), Sensor()), Reward(), rule_policy)
+    world = make_world("oval")
+    (found,) = drive(world, world.simulator(world.track), rule_policy)
     return Trial((found,))
 
 
