@@ -16,15 +16,15 @@ from benchmarks import figures
 from benchmarks.log_reading import READINGS, THROUGH_ALL
 from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
-from carrl.agent.network import make_q_network
-from carrl.env.start import Start
+from carrl.algorithms.common.network import make_q_network
 from carrl.env.track_env import TrackEnv
+from carrl.evaluation.rollout import rule_policy
 from carrl.log import load
-from carrl.record.messages import Episode
-from carrl.record.schema import COLUMNS
-from carrl.record.writer import LogWriter
-from carrl.run.episodes import EpisodeTracker
-from carrl.run.evaluation import rule_policy
+from carrl.log.messages import Episode
+from carrl.log.schema import COLUMNS
+from carrl.log.writer import LogWriter
+from carrl.task.start import Start
+from carrl.train.episodes import EpisodeTracker
 
 HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")
 CARS = 64

@@ -10,8 +10,8 @@ from typing import Any
 
 from benchmarks.options import tell
 from carrl.cli.main import main as carrl
-from carrl.record.writer import LogWriter
-from carrl.run.trainer import Trainer
+from carrl.log.writer import LogWriter
+from carrl.train.trainer import Trainer
 
 SHARE_HEADER = ("run", "seconds of training", "of them for the log", "share")
 RUNS = (

@@ -32,11 +32,11 @@ class Part:
 
 LOOP = "other"
 PARTS = (
-    Part(LOOP, ("carrl/run/trainer.py:run",), ""),
-    Part("updates: native call", ("carrl/run/learner.py:__call__",), "updates: the rest"),
+    Part(LOOP, ("carrl/train/trainer.py:run",), ""),
+    Part("updates: native call", ("carrl/train/learner.py:__call__",), "updates: the rest"),
     Part("updates: sampling", ("carrl/data/replay_buffer.py:sample",), "updates: the rest"),
-    Part("updates: tracing, loading native code", ("carrl/run/learner.py:_try_to_compile",), "updates: the rest"),
-    Part("updates: the rest", ("carrl/run/learner.py:learn",), LOOP),
+    Part("updates: tracing, loading native code", ("carrl/train/learner.py:_try_to_compile",), "updates: the rest"),
+    Part("updates: the rest", ("carrl/train/learner.py:learn",), LOOP),
     Part("environment and simulator", ("carrl/env/track_env.py:_step", "carrl/env/track_env.py:_reset"), "collector"),
     Part(
         "policy",
@@ -45,9 +45,9 @@ PARTS = (
     ),
     Part("collector", ("torchrl/collectors/_single.py:iterator",), LOOP),
     Part("replay extend", ("torchrl/data/replay_buffers/replay_buffers/tensordict.py:extend",), LOOP),
-    Part("recorder", ("carrl/run/folder.py:record",), LOOP),
-    Part("evaluation drives", ("carrl/run/trainer.py:_evaluate",), LOOP),
-    Part("episode accounting", ("carrl/run/episodes.py:follow", "carrl/run/agent_run.py:add_episodes"), LOOP),
+    Part("recorder", ("carrl/train/folder.py:record",), LOOP),
+    Part("evaluation drives", ("carrl/train/trainer.py:_evaluate",), LOOP),
+    Part("episode accounting", ("carrl/train/episodes.py:follow", "carrl/train/agent_run.py:add_episodes"), LOOP),
 )
 """Edit this when a function moves; a name that is not in the profile is an error."""
 

@@ -15,8 +15,8 @@ from carrl.sim.geometry import ray_distances
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.terrain import Plot
-from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
+from carrl.tracks.track import Track, builtin_names
 
 HEADER = ("track", "walls", "KiB", "rays", "more than 1 mm off", "largest difference, m")
 TOLERANCE = 1e-3

@@ -11,8 +11,8 @@ from pathlib import Path
 from torch import Tensor
 
 from carrl.errors import CarrlError
-from carrl.run.checkpoint import load_checkpoint
-from carrl.run.files import checkpoint_path, seed_folders
+from carrl.train.checkpoint import load_checkpoint
+from carrl.train.files import checkpoint_path, seed_folders
 
 CHECKPOINTS = ("last", "best")
 

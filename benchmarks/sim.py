@@ -96,7 +96,7 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
 
 def _track(text: str) -> str:
     from carrl.errors import CarrlError
-    from carrl.sim.track import Track
+    from carrl.tracks.track import Track
 
     name = text if not Path(text).is_file() else str(Path(text).absolute())
     try:

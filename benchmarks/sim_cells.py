@@ -13,7 +13,7 @@ import torch
 
 from benchmarks.child import run_child
 from benchmarks.sim_drives import CONTESTANTS, Contestant, Drive, LeftOutError
-from carrl.sim.track import Track
+from carrl.tracks.track import Track
 
 PAPER = "paper"
 WARM_UP = 0.3

@@ -19,12 +19,12 @@ from torchrl.envs.utils import RandomPolicy
 import carrl  # registers carrl/Track-v0
 from benchmarks.child import BenchError
 from carrl.data.collector import make_collector
-from carrl.env.action import steer3
-from carrl.env.start import Start
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.task.action import steer3
+from carrl.task.start import Start
+from carrl.tracks.track import Track
 
 GYM_ID = "carrl/Track-v0"
 SEED = 0

@@ -24,8 +24,8 @@ def main() -> None:
 
     from carrl.sim.sensor import Sensor
     from carrl.sim.simulator import Simulator
-    from carrl.sim.track import Track
     from carrl.sim.vehicle import Vehicle
+    from carrl.tracks.track import Track
 
     torch.set_num_threads(1)
     track = Track.load("paper")

@@ -11,16 +11,16 @@ _IMPORTED_AT = time.monotonic()
 
 if TYPE_CHECKING:
     from carrl import log, sb3
-    from carrl.env.action import ContinuousActions, DiscreteActions
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
-    from carrl.env.observation import Observation, rays_and_last_action
-    from carrl.env.reward import Reward, paper_reward
-    from carrl.env.start import Start
     from carrl.env.track_env import TrackEnv
     from carrl.sim.sensor import Sensor
-    from carrl.sim.track import Track
     from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
+    from carrl.task.action import ContinuousActions, DiscreteActions
+    from carrl.task.observation import Observation, rays_and_last_action
+    from carrl.task.reward import Reward, paper_reward
+    from carrl.task.start import Start
+    from carrl.tracks.track import Track
 
 __all__ = [
     "Bicycle",
@@ -53,20 +53,20 @@ register_with_torchrl()
 
 _HOMES = {
     "Bicycle": "carrl.sim.vehicle",
-    "ContinuousActions": "carrl.env.action",
-    "DiscreteActions": "carrl.env.action",
+    "ContinuousActions": "carrl.task.action",
+    "DiscreteActions": "carrl.task.action",
     "GymTrackEnv": "carrl.env.gym_env",
     "GymVectorTrackEnv": "carrl.env.gym_vector_env",
-    "Observation": "carrl.env.observation",
-    "Reward": "carrl.env.reward",
+    "Observation": "carrl.task.observation",
+    "Reward": "carrl.task.reward",
     "Sensor": "carrl.sim.sensor",
-    "Start": "carrl.env.start",
-    "Track": "carrl.sim.track",
+    "Start": "carrl.task.start",
+    "Track": "carrl.tracks.track",
     "TrackEnv": "carrl.env.track_env",
     "Vehicle": "carrl.sim.vehicle",
     "VehicleModel": "carrl.sim.vehicle",
-    "paper_reward": "carrl.env.reward",
-    "rays_and_last_action": "carrl.env.observation",
+    "paper_reward": "carrl.task.reward",
+    "rays_and_last_action": "carrl.task.observation",
 }
 
 

@@ -7,7 +7,7 @@ from carrl.errors import ConfigError
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecMonitor
 
-    from carrl.env.task import Tracks
+    from carrl.task.task import Tracks
 
 
 def make_vec_env(

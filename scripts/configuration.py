@@ -24,8 +24,8 @@ $ carrl train -m experiment=fast returns=one_step,n_step replay_buffer=uniform,p
 ```
 
 The reward and the observation are sums and rows of terms, each with keys of its own; a term set to `null` is left out:
-`reward.gate.weight=20`, `reward.proximity=null`, `observation=rays_and_last_action`. `carrl.env.reward` and
-`carrl.env.observation` have the terms, `carrl.env.action` what a car can choose among.
+`reward.gate.weight=20`, `reward.proximity=null`, `observation=rays_and_last_action`. `carrl.task.reward` and
+`carrl.task.observation` have the terms, `carrl.task.action` what a car can choose among.
 
 What each part of learning does to the first lap stands in [results.md](results.md#parts).
 

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 import torch
 
 from carrl.cli.main import main
+from carrl.cli.text.console import TrainingDisplay
 from carrl.log import load, read_episodes, verify
-from carrl.run.checkpoint import load_checkpoint
-from carrl.view.console import TrainingDisplay
+from carrl.train.checkpoint import load_checkpoint
 
 FRAMES = 640
 TINY = [

@@ -9,9 +9,9 @@ from pathlib import Path
 import yaml
 
 from carrl.cli.main import main
-from carrl.run.build import build_network, build_world
-from carrl.run.checkpoint import save_checkpoint
-from carrl.run.files import CONFIG, checkpoint_path
+from carrl.train.build import build_network, build_world
+from carrl.train.checkpoint import save_checkpoint
+from carrl.train.files import CONFIG, checkpoint_path
 from tests.configs import compose
 
 READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")

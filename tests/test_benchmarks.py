@@ -108,10 +108,10 @@ PROFILE = {
     CALL: (20, 20, 3.0, 3.0, {LOOP: (5, 5, 1.0, 1.0), UPDATE: (15, 15, 2.0, 2.0)}),
 }
 PARTS = (
-    profiling.Part("loop", ("carrl/run/trainer.py:run",), ""),
-    profiling.Part("update", ("carrl/run/learner.py:learn",), "loop"),
+    profiling.Part("loop", ("carrl/train/trainer.py:run",), ""),
+    profiling.Part("update", ("carrl/train/learner.py:learn",), "loop"),
     profiling.Part("sampling", ("carrl/data/buffer.py:sample",), "update"),
-    profiling.Part("policy", ("carrl/run/trainer.py:run > torch/module.py:call",), "loop"),
+    profiling.Part("policy", ("carrl/train/trainer.py:run > torch/module.py:call",), "loop"),
 )
 
 
@@ -120,8 +120,8 @@ def test_a_part_of_the_profile_has_its_time_without_that_of_its_inner_parts():
 
 
 def test_a_profile_without_a_named_function_is_refused():
-    moved = (*PARTS, profiling.Part("log", ("carrl/run/folder.py:record",), "loop"))
-    with pytest.raises(BenchError, match=r"'carrl/run/folder\.py:record' was never called"):
+    moved = (*PARTS, profiling.Part("log", ("carrl/train/folder.py:record",), "loop"))
+    with pytest.raises(BenchError, match=r"'carrl/train/folder\.py:record' was never called"):
         profiling.own_seconds(PROFILE, moved)
     with pytest.raises(BenchError, match=r"parts within 'sampling' take 1\.50 s more"):
         profiling.own_seconds(PROFILE, (*PARTS, profiling.Part("calls", ("torch/module.py:call",), "sampling")))

@@ -8,7 +8,7 @@ import yaml
 
 from carrl.config import build_node, config_dir
 from carrl.errors import ConfigError
-from carrl.run.build import build_pipeline
+from carrl.train.build import build_pipeline
 from tests.configs import compose
 
 LEAVES = sorted(

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from carrl.log import read_columns, read_episodes
-from carrl.run.checkpoint import load_checkpoint
+from carrl.train.checkpoint import load_checkpoint
 
 ROOT = Path(__file__).resolve().parents[1]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")

@@ -19,10 +19,10 @@ from benchmarks.log_faults.kill import Kill
 from benchmarks.log_faults.sample import Piece, read_sample
 from benchmarks.log_faults.training import Note
 from carrl.log import read_columns, recover
-from carrl.record.layout import tensordict_of
-from carrl.record.messages import Episode, Metrics
-from carrl.record.schema import COLUMNS, TRANSITIONS
-from carrl.record.writer import LogWriter
+from carrl.log.layout import tensordict_of
+from carrl.log.messages import Episode, Metrics
+from carrl.log.schema import COLUMNS, TRANSITIONS
+from carrl.log.writer import LogWriter
 
 BATCHES, BATCH = 8, 12
 

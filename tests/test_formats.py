@@ -12,13 +12,13 @@ from hypothesis.extra import numpy as arrays
 
 from carrl.errors import TrackError
 from carrl.log import read_columns, read_episodes, read_metrics
+from carrl.log.layout import tensordict_of
+from carrl.log.messages import Episode, Metrics
+from carrl.log.schema import COLUMNS
+from carrl.log.writer import LogWriter
 from carrl.plain_yaml import parse_yaml
-from carrl.record.layout import tensordict_of
-from carrl.record.messages import Episode, Metrics
-from carrl.record.schema import COLUMNS
-from carrl.record.writer import LogWriter
-from carrl.sim.centreline import Centreline
-from carrl.sim.csv_file import read_csv, write_csv
+from carrl.tracks.centreline import Centreline
+from carrl.tracks.csv_file import read_csv, write_csv
 
 exactly = settings(max_examples=25, deadline=None, derandomize=True)
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from benchmarks.same_parameters import main
-from carrl.run.checkpoint import save_checkpoint
+from carrl.train.checkpoint import save_checkpoint
 from tests.run_folders import write_config
 
 WEIGHT = torch.tensor([[0.5, -0.25], [0.0, 3.0]])

@@ -15,11 +15,11 @@ from benchmarks.child import BenchError
 from benchmarks.sim_cells import Cell, Course, drive_course, drive_for
 from benchmarks.sim_drives import CONTESTANTS, Contestant, LeftOutError, put_back, random_stations
 from benchmarks.sim_tables import Row
-from carrl.env.action import steer3
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.task.action import steer3
+from carrl.tracks.track import Track
 
 needs_vmas = pytest.mark.skipif(
     importlib.util.find_spec("vmas") is None, reason="vmas is not installed; scripts/bench installs it"

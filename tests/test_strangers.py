@@ -15,10 +15,10 @@ import pytest
 import torch
 
 from carrl.cli.main import main
-from carrl.record.writer import LogWriter
-from carrl.run.files import CONFIG, METRICS, SUMMARY, checkpoint_path
-from carrl.run.report.choices import HYDRA, OVERRIDES
-from carrl.run.report.sweeps import SWEEP
+from carrl.log.writer import LogWriter
+from carrl.report.choices import HYDRA, OVERRIDES
+from carrl.report.sweeps import SWEEP
+from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path
 from tests.strangers import Payload, make_run, proves_harmful, refused
 
 SQUARE = "corners: [[0, 0], [60, 0], [60, 60], [0, 60]]\ncorner_radius: 10\nwidth: 8\n"
@@ -285,7 +285,7 @@ SERVERS = {"socket", "socketserver", "http", "http.server", "asyncio", "xmlrpc",
 
 @pytest.mark.parametrize("path", sorted(Path("carrl").rglob("*.py")), ids=str)
 def test_no_module_can_open_a_port_by_itself(path):
-    """What listens is Rerun's viewer, as tests/view watch, and Ray, as tests/data watch."""
+    """What listens is Rerun's viewer, as tests/render watch, and Ray, as tests/data watch."""
     tree = ast.parse(path.read_text())
     imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}

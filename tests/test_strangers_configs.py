@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from carrl.config import TARGETS, config_dir
-from carrl.run.files import CONFIG
+from carrl.train.files import CONFIG
 from tests.strangers import make_run, refused
 
 CALLS = {
@@ -16,10 +16,10 @@ CALLS = {
     "builtins.open": {"file": "{marker}", "mode": "w"},
     "pathlib.Path.touch": {"self": "{marker}"},
     "carrl.config.inspect.os.system": {"command": "touch {marker}"},
-    "carrl.run.files.write_text": {"path": "{marker}", "text": ""},
+    "carrl.train.files.write_text": {"path": "{marker}", "text": ""},
     "carrl.files.write_whole": {"path": "{marker}", "content": ""},
-    "carrl.record.mcap_file.McapFile": {"path": "{marker}"},
-    "carrl.record.writer.LogWriter": {"path": "{marker}", "attachments": {}, "metadata": {}},
+    "carrl.log.mcap_file.McapFile": {"path": "{marker}"},
+    "carrl.log.writer.LogWriter": {"path": "{marker}", "attachments": {}, "metadata": {}},
     "carrl.cli.main.main": {"argv": ["track", "random", "--out", "{marker}.csv"]},
     "torch.save": {"obj": 1, "f": "{marker}"},
 }
@@ -116,7 +116,7 @@ def test_a_small_config_that_stands_for_a_huge_one_is_refused_at_once(tmp_path, 
         ("track", "name_or_path", "/dev/zero", "this is not a regular file"),
         ("track", "name_or_path", "/", "this is a folder"),
         ("track", "name_or_path", "\x1b[2Jnowhere", "no file of this path"),
-        ("observation", "rays", [], "observation.rays._target_ is None; it must be carrl.env.observation.Rays or"),
+        ("observation", "rays", [], "observation.rays._target_ is None; it must be carrl.task.observation.Rays or"),
         ("reward.proximity", "threshold", [], "reward.proximity.threshold is []; it must be of type float"),
         ("reward.gate", "wight", 5.0, "reward.gate has no key 'wight'; Gate takes weight"),
         ("reward", "\x1b[2J", {}, "reward has a term called '\\x1b[2J'; a term's name is made of letters"),
@@ -141,7 +141,7 @@ def test_a_config_with_a_value_that_cannot_be_is_refused(tmp_path, capsys, group
     assert words in refused(capsys, "evaluate", run)
 
 
-@pytest.mark.parametrize("node", [None, [], 5, "x", {}, {"_target_": "carrl.sim.track.Track.load"}])
+@pytest.mark.parametrize("node", [None, [], 5, "x", {}, {"_target_": "carrl.tracks.track.Track.load"}])
 def test_a_config_whose_node_is_no_node_is_refused(tmp_path, capsys, node):
     for group in ("track", "vehicle", "action", "sensor", "observation", "reward", "network"):
         assert group in refused(capsys, "evaluate", make_run(tmp_path / f"{group}", **{group: node}))

@@ -2,14 +2,14 @@
 
 from typing import Any
 
-from carrl.env.action import steer3
-from carrl.env.observation import rays_only
-from carrl.env.reward import paper_reward
-from carrl.env.world import World
-from carrl.sim.circuits import Circuits
 from carrl.sim.sensor import Sensor
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.task.action import steer3
+from carrl.task.observation import rays_only
+from carrl.task.reward import paper_reward
+from carrl.task.world import World
+from carrl.tracks.circuits import Circuits
+from carrl.tracks.track import Track
 
 
 def make_world(track: Track | str = "paper", **parts: Any) -> World:

@@ -14,13 +14,13 @@ from benchmarks.fuzz.values import change
 from carrl.env.track_env import TrackEnv
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Log, read_trace, recover, verify
-from carrl.record.codec import Batch, Columns, encode_small
-from carrl.record.log_file import begin_log
-from carrl.record.messages import Episode, Metrics
-from carrl.record.metadata import describe, with_checksum
-from carrl.record.schema import CHANNELS, COLUMNS, EPISODES, METRICS, TRANSITIONS
-from carrl.record.summary import summarise
-from carrl.run.provenance import describe_run
+from carrl.log.codec import Batch, Columns, encode_small
+from carrl.log.log_file import begin_log
+from carrl.log.messages import Episode, Metrics
+from carrl.log.metadata import describe, with_checksum
+from carrl.log.schema import CHANNELS, COLUMNS, EPISODES, METRICS, TRANSITIONS
+from carrl.log.summary import summarise
+from carrl.train.provenance import describe_run
 
 _STEPS, _RUN = 6, 0x1234567890ABCDEF
 _TIMES = (0, 1, 10**8, 10**9, 2**40, 2**63 - 1)

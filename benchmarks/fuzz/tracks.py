@@ -11,13 +11,13 @@ import yaml
 from benchmarks.fuzz.mutation import NUMBERS, mutate
 from benchmarks.fuzz.parser import Parser
 from benchmarks.fuzz.values import change
-from carrl.sim.builtin import DRAWINGS
-from carrl.sim.csv_file import COLUMNS
-from carrl.sim.inspection import inspect_track
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.tracks.builtin import DRAWINGS
+from carrl.tracks.csv_file import COLUMNS
+from carrl.tracks.inspection import inspect_track
+from carrl.tracks.track import Track
 
 
 class TrackParser(Parser):

@@ -21,15 +21,22 @@ VALUES: tuple[Any, ...] = (
     ),
 )
 TARGETS = (
-    *("os.system", "subprocess.run", "builtins.eval", "builtins.open", "carrl.run.files.write_text", "shutil.rmtree"),
+    *("os.system", "subprocess.run", "builtins.eval", "builtins.open", "carrl.train.files.write_text", "shutil.rmtree"),
     *(
-        "carrl.record.writer.LogWriter",
+        "carrl.log.writer.LogWriter",
         "carrl.files.write_whole",
-        "carrl.sim.track.Track.random",
+        "carrl.tracks.track.Track.random",
         "carrl.cli.main.main",
     ),
-    *("carrl.sim.track.Track.load", "carrl.sim.vehicle.Bicycle", "carrl.sim.vehicle.Vehicle", "carrl.nothing", "", "."),
-    *("torch.optim.Adam", "torch.load", "carrl.sim.track.Track", "carrl.config.inspect.os.system", "carrl"),
+    *(
+        "carrl.tracks.track.Track.load",
+        "carrl.sim.vehicle.Bicycle",
+        "carrl.sim.vehicle.Vehicle",
+        "carrl.nothing",
+        "",
+        ".",
+    ),
+    *("torch.optim.Adam", "torch.load", "carrl.tracks.track.Track", "carrl.config.inspect.os.system", "carrl"),
 )
 LONGEST = 100_000
 """Items of a list that is made longer; as a file that is more than any parser takes."""

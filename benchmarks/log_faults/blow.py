@@ -44,8 +44,8 @@ class Watch:
 
     def patches(self) -> Iterator[Any]:
         """What to put in the place of CarRL's functions, made in the run itself."""
-        from carrl.record import mcap_file
-        from carrl.run import checkpoint
+        from carrl.log import mcap_file
+        from carrl.train import checkpoint
 
         self._write_at, self._replace = mcap_file._write_at, os.replace
         yield patch.object(checkpoint, "write_whole", self._write_checkpoint)
@@ -85,7 +85,7 @@ class Watch:
                 os.fsync(file.fileno())
 
     def _rename(self, source: Any, target: Any) -> None:
-        from carrl.run.state_file import PREVIOUS, STATE
+        from carrl.train.state_file import PREVIOUS, STATE
 
         is_state = Path(target).name in (PREVIOUS.name, STATE.name) and Path(source).exists()
         blow = self._struck_here(RENAMING) if is_state else None

@@ -12,8 +12,8 @@ from benchmarks.log_faults.contents import LogContents, message_bytes, places_in
 from benchmarks.log_faults.sample import Piece, Sample
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Recovery, recover, verify
-from carrl.record.reader import Log
-from carrl.record.schema import EPISODES, METRICS, TRANSITIONS
+from carrl.log.reader import Log
+from carrl.log.schema import EPISODES, METRICS, TRANSITIONS
 
 Samples = tuple[Sample, Sample]
 """The log that was damaged, and the one that slices were taken from."""

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from carrl.record.codec import Columns, encode_small
-from carrl.record.messages import Episode, Metrics
-from carrl.record.reader import Log
-from carrl.record.schema import COLUMNS, EPISODES, METRICS
+from carrl.log.codec import Columns, encode_small
+from carrl.log.messages import Episode, Metrics
+from carrl.log.reader import Log
+from carrl.log.schema import COLUMNS, EPISODES, METRICS
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from benchmarks.log_faults.contents import LogContents, read_contents
 from benchmarks.log_faults.sample import Piece, read_sample
 from benchmarks.log_faults.training import Note, Tear, TrainingRun
 from carrl.log import recover, verify
-from carrl.record.metadata import CHECKSUM
-from carrl.record.schema import TRANSITIONS
+from carrl.log.metadata import CHECKSUM
+from carrl.log.schema import TRANSITIONS
 
 MOST_LOST_S = 2.0
 """What a killed run may lose of its transitions: those of so many seconds before."""

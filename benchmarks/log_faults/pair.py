@@ -19,8 +19,8 @@ from benchmarks.log_faults.contents import LogContents, read_contents
 from benchmarks.log_faults.same_run import RunContents, differences, read_run
 from carrl.errors import CarrlError
 from carrl.log import verify
-from carrl.run.files import LOG
-from carrl.run.sweep import JOB, SweepFolder
+from carrl.train.files import LOG
+from carrl.train.sweep import JOB, SweepFolder
 
 RUN, RESUME, SWEEP, RECOVERY = "run", "resume", "sweep", "recovery"
 KINDS = (RUN, RESUME, SWEEP, RECOVERY)

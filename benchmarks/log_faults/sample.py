@@ -11,11 +11,11 @@ from mcap.records import ChunkIndex
 from benchmarks.child import BenchError
 from benchmarks.log_faults.contents import LogContents, read_contents
 from benchmarks.log_faults.training import TrainingRun
-from carrl.record.codec import Batch
-from carrl.record.mcap_index import IndexedFile
-from carrl.record.schema import CHANNELS, TRANSITIONS
+from carrl.log.codec import Batch
+from carrl.log.mcap_index import IndexedFile
+from carrl.log.schema import CHANNELS, TRANSITIONS
 
-_SMALL_CHUNKS = {"carrl.run.trainer.LOGGED_TOGETHER": 96, "carrl.record.writer.FLUSH_INTERVAL_S": 0.0}
+_SMALL_CHUNKS = {"carrl.train.trainer.LOGGED_TOGETHER": 96, "carrl.log.writer.FLUSH_INTERVAL_S": 0.0}
 """Constants with which even a short run's log has many chunks."""
 _TOPICS = {number: topic for topic, number in CHANNELS.items()}
 

@@ -20,7 +20,7 @@ from unittest.mock import patch
 
 from benchmarks.child import BenchError, last_line
 from benchmarks.log_faults.contents import message_bytes
-from carrl.record.schema import METRICS
+from carrl.log.schema import METRICS
 
 LONGEST_RUN_S = 1800.0
 _RUN, _NOTES, _CONSOLE = "run", "notes", "console.txt"
@@ -139,7 +139,7 @@ def run_path(folder: Path) -> Path:
 
 def preload() -> None:
     """Imports here what every run needs, so that runs need not."""
-    for name in ("carrl.cli.main", "carrl.cli.train", "carrl.run.trainer"):
+    for name in ("carrl.cli.main", "carrl.cli.train", "carrl.train.trainer"):
         importlib.import_module(name)
 
 
@@ -181,9 +181,9 @@ class _Watch:
 
     def patches(self) -> Iterator[Any]:
         """What to put in the place of CarRL's functions: notes, then the functions themselves."""
-        from carrl.record import mcap_file
-        from carrl.record.writer import LogWriter
-        from carrl.run.trainer import Trainer
+        from carrl.log import mcap_file
+        from carrl.log.writer import LogWriter
+        from carrl.train.trainer import Trainer
 
         for owner, name, look in (
             (Trainer, "_learn_from", self._see_transitions),

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.child import CARRL, ROOT, BenchError, environment, last_line
-from carrl.run.files import METRICS, SUMMARY
+from carrl.train.files import METRICS, SUMMARY
 
 INTERVAL_S = 1.0
 """Between two looks at the process."""

@@ -11,8 +11,8 @@ import torch
 from carrl.cli.parser import Parser
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
-from carrl.run.build import build_world
-from carrl.run.files import load_config
+from carrl.train.build import build_world
+from carrl.train.files import load_config
 
 if TYPE_CHECKING:
     import pygame
@@ -70,7 +70,7 @@ class Game:
     def __init__(self, env: GymTrackEnv, fps: float) -> None:
         """Opens the window."""
         self._picture = make_follow_picture(env.task, SIZE)
-        from carrl.env.rendering import Window
+        from carrl.render.raster import Window
 
         self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}")
         self._env, self._fps = env, fps

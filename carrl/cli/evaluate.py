@@ -12,18 +12,18 @@ import torch
 from carrl.cli.evaluation_table import print_evaluation
 from carrl.cli.parser import Parser
 from carrl.cli.road_warning import warn_of_roads
-from carrl.env.world import World
 from carrl.errors import ConfigError
+from carrl.evaluation.rollout import Drive, Policy, random_policy, rule_policy, rule_world
+from carrl.evaluation.survey import Survey
+from carrl.evaluation.tally import tally
 from carrl.printable import printable
-from carrl.run.build import build_world
-from carrl.run.evaluation import Drive, Policy, random_policy, rule_policy, rule_world
-from carrl.run.files import load_config, seed_folders
-from carrl.run.folder import load_greedy_policy
-from carrl.run.plan import checked_seed
-from carrl.run.survey import Survey
-from carrl.run.tally import tally
-from carrl.sim.circuits import Folder, load_folder
-from carrl.sim.track import Track
+from carrl.task.world import World
+from carrl.tracks.circuits import Folder, load_folder
+from carrl.tracks.track import Track
+from carrl.train.build import build_world
+from carrl.train.files import load_config, seed_folders
+from carrl.train.folder import load_greedy_policy
+from carrl.train.plan import checked_seed
 
 Laps = list[list[Drive]]
 """The drives of each track."""

@@ -6,7 +6,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from carrl.errors import CarrlError
-from carrl.run.files import CONFIG, write_text
+from carrl.train.files import CONFIG, write_text
 
 HYDRA, OVERRIDES = CONFIG.with_name("hydra.yaml"), CONFIG.with_name("overrides.yaml")
 

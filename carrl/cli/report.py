@@ -5,11 +5,11 @@ from pathlib import Path
 
 from carrl.cli.parser import Parser, named_folder
 from carrl.errors import ConfigError
-from carrl.run.report.document import as_json
-from carrl.run.report.findings import Findings, find
-from carrl.run.report.runs_table import best_lap_of
-from carrl.run.report.text import report_text
-from carrl.view.picture_file import picture_format
+from carrl.render.picture_file import picture_format
+from carrl.report.document import as_json
+from carrl.report.findings import Findings, find
+from carrl.report.runs_table import best_lap_of
+from carrl.report.text import report_text
 
 BIN_SIZE = 0.25
 """Of the search for the best possible lap, m."""
@@ -28,7 +28,7 @@ def main(argv: list[str]) -> int:
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:
-        from carrl.view.report.folder import write_report  # brings Matplotlib, which text alone does not need
+        from carrl.report.figures.folder import write_report  # brings Matplotlib, which text alone does not need
 
         write_report(arguments.out, findings, best_lap)
     if arguments.json:
@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _draw_curves(path: Path, findings: Findings) -> None:
-    from carrl.view.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
+    from carrl.render.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
 
     first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]
     curves = {

@@ -3,11 +3,11 @@
 import sys
 from collections.abc import Sequence
 
-from carrl.env.world import World
 from carrl.printable import printable
-from carrl.sim.centreline import gap_of
 from carrl.sim.drivability import Car, unsuitable
-from carrl.sim.track import Track
+from carrl.task.world import World
+from carrl.tracks.centreline import gap_of
+from carrl.tracks.track import Track
 
 
 def warn_of_roads(tracks: Sequence[Track], world: World) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from carrl.run.training import Training
+    from carrl.train.training import Training
 
 _SHOW_CURSOR = "\x1b[?25h"
 INTERRUPTED = 130

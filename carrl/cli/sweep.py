@@ -17,9 +17,9 @@ from carrl.cli.overrides import check_is_read, quote
 from carrl.cli.plain import composed
 from carrl.cli.signals import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.sweep_hooks import Beginning
+from carrl.cli.text.sweep import SweepConsole
 from carrl.errors import CarrlError
-from carrl.run.sweep import job_name
-from carrl.view.sweep import SweepConsole
+from carrl.train.sweep import job_name
 
 FLAGS = ("--multirun", "hydra.mode=MULTIRUN")
 _LOOKS_EVERY_S = 1.0

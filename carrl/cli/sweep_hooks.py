@@ -13,9 +13,9 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from carrl.errors import CarrlError
-from carrl.run.lock import locked
-from carrl.run.new_folder import check_is_in_no_run, make_new
-from carrl.run.sweep import SweepFolder, job_name
+from carrl.train.lock import locked
+from carrl.train.new_folder import check_is_in_no_run, make_new
+from carrl.train.sweep import SweepFolder, job_name
 
 OmegaConf.register_new_resolver("carrl.job_name", job_name, replace=True)
 

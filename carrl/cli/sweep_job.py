@@ -13,15 +13,15 @@ from omegaconf import DictConfig
 from carrl.cli.plain import plain
 from carrl.cli.records import write_records
 from carrl.cli.sweep_hooks import Beginning
+from carrl.cli.text.console import Silence
 from carrl.cli.training import train
 from carrl.errors import CarrlError
-from carrl.run.build import build_world, logs_of
-from carrl.run.inputs import check_inputs, checksums
-from carrl.run.lock import locked
-from carrl.run.resumption import resumed_state
-from carrl.run.sweep import JobNote, JobState, SweepFolder, read_summaries
-from carrl.run.training import Training
-from carrl.view.console import Silence
+from carrl.train.build import build_world, logs_of
+from carrl.train.inputs import check_inputs, checksums
+from carrl.train.lock import locked
+from carrl.train.resumption import resumed_state
+from carrl.train.sweep import JobNote, JobState, SweepFolder, read_summaries
+from carrl.train.training import Training
 
 _LOOKS_EVERY_S = 1.0
 

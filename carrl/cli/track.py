@@ -14,8 +14,8 @@ from carrl.printable import printable
 
 if TYPE_CHECKING:
     from carrl.sim.drivability import Car
-    from carrl.sim.inspection import TrackReport
-    from carrl.sim.track import Track
+    from carrl.tracks.inspection import TrackReport
+    from carrl.tracks.track import Track
 
 CAR_FLAGS = (
     ("body-radius", 0.5, "of the car, a disc that must fit"),
@@ -85,9 +85,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from carrl.sim.circuits import load_folder
-    from carrl.sim.inspection import inspect_track
-    from carrl.sim.track import Track, builtin_names
+    from carrl.tracks.circuits import load_folder
+    from carrl.tracks.inspection import inspect_track
+    from carrl.tracks.track import Track, builtin_names
 
     folders = [load_folder(Path(folder)) for folder in arguments.folders]
     refused = [reason for folder in folders for reason in folder.refused.values()]
@@ -105,10 +105,10 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    from carrl.sim.track import Track
-    from carrl.view.figure import save_figure
-    from carrl.view.picture_file import picture_format
-    from carrl.view.track_map import draw_track_map
+    from carrl.render.figure import save_figure
+    from carrl.render.picture_file import picture_format
+    from carrl.render.track_map import draw_track_map
+    from carrl.tracks.track import Track
 
     track = Track.load(arguments.track)
     path = Path(arguments.out or f"{Path(track.name).stem}.png")
@@ -122,8 +122,8 @@ def _show(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     """Checks every track even when one cannot be read, and returns the gravest exit code."""
     from carrl.sim.drivability import unsuitable
-    from carrl.sim.inspection import inspect_track
-    from carrl.sim.track import Track
+    from carrl.tracks.inspection import inspect_track
+    from carrl.tracks.track import Track
 
     car, is_given = _car(arguments)
     exit_code = 0
@@ -170,15 +170,15 @@ def _car(arguments: argparse.Namespace) -> tuple["Car", bool]:
 
 def _named(names: Sequence[str]) -> list[str]:
     """The names with each folder replaced by the circuits in it."""
-    from carrl.sim.circuits import circuit_files
+    from carrl.tracks.circuits import circuit_files
 
     return [path for name in names for path in (map(str, circuit_files(Path(name))) if Path(name).is_dir() else [name])]
 
 
 def _random(arguments: argparse.Namespace) -> int:
-    from carrl.sim.csv_file import write_csv
-    from carrl.sim.inspection import inspect_track
-    from carrl.sim.track import Track
+    from carrl.tracks.csv_file import write_csv
+    from carrl.tracks.inspection import inspect_track
+    from carrl.tracks.track import Track
 
     if arguments.count < 1:
         raise TrackError(f"--count is {arguments.count}; it must be at least 1")
@@ -215,7 +215,7 @@ def _shape(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _centreline_of(track: "Track") -> Any:
     """The centreline and widths of a track whose walls stand square to it, as those of `Track.random` do."""
-    from carrl.sim.centreline import Centreline
+    from carrl.tracks.centreline import Centreline
 
     middle, left, right = (line.double() for line in (track.centreline, track.left_wall, track.right_wall))
     widths = ((side - middle).norm(dim=1).numpy() for side in (right, left))

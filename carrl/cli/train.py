@@ -25,9 +25,9 @@ from carrl.cli.sweep_hooks import Refusal
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 from carrl.printable import printable
-from carrl.run.files import CONFIG, load_config
-from carrl.run.lock import LOCK, locked
-from carrl.run.new_folder import check_holds_no_run
+from carrl.train.files import CONFIG, load_config
+from carrl.train.lock import LOCK, locked
+from carrl.train.new_folder import check_holds_no_run
 
 RESUME = "resume="
 _BEFORE_TRAINING = {".hydra", str(CONFIG), str(HYDRA), str(OVERRIDES), LOCK}
@@ -113,7 +113,7 @@ def _resume(run: Path, typed: Arguments) -> int:
     if typed.flags:
         raise ConfigError(f"{typed.flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
     from carrl.cli.training import train
-    from carrl.run.resumption import resume
+    from carrl.train.resumption import resume
 
     changes = [override for override in typed.overrides if not _is_resume(override)]
     load_config(run)  # so that nothing is written to a folder that is no run's

@@ -13,23 +13,23 @@ from torchrl import logger as torchrl_logger
 
 from carrl.cli.road_warning import warn_of_roads
 from carrl.cli.signals import stopping_on_signals
+from carrl.cli.text.console import Display, OfflineDisplay, Silence, TrainingDisplay, print_summaries, print_summary
 from carrl.config import build_node, is_whole_number
-from carrl.env.world import World
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
-from carrl.record.writer import LogWriter
-from carrl.run.agent_run import AgentRun
-from carrl.run.build import Learning, Pipeline, build_offline_pipeline, build_pipeline, learns_from_logs
-from carrl.run.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
-from carrl.run.folder import RunFolder, check_tables
-from carrl.run.inputs import Inputs, check_inputs, checksums
-from carrl.run.offline_folder import OfflineRunFolder
-from carrl.run.offline_trainer import OfflineTrainer
-from carrl.run.provenance import describe_run
-from carrl.run.scalars import Scalars
-from carrl.run.state_file import StateFile
-from carrl.run.summary import summarise
-from carrl.run.trainer import Trainer
-from carrl.view.console import Display, OfflineDisplay, Silence, TrainingDisplay, print_summaries, print_summary
+from carrl.log.writer import LogWriter
+from carrl.task.world import World
+from carrl.train.agent_run import AgentRun
+from carrl.train.build import Learning, Pipeline, build_offline_pipeline, build_pipeline, learns_from_logs
+from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
+from carrl.train.folder import RunFolder, check_tables
+from carrl.train.inputs import Inputs, check_inputs, checksums
+from carrl.train.offline_folder import OfflineRunFolder
+from carrl.train.offline_trainer import OfflineTrainer
+from carrl.train.provenance import describe_run
+from carrl.train.scalars import Scalars
+from carrl.train.state_file import StateFile
+from carrl.train.summary import summarise
+from carrl.train.trainer import Trainer
 
 Config = dict[str, Any]
 MOST_THREADS = 1024
@@ -245,14 +245,14 @@ def _exhausted() -> CarrlError:
 
 
 def _draw_learning_curve(run: AgentRun) -> None:
-    from carrl.view.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
+    from carrl.render.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
 
     first_lap = run.first_lap.episode if run.first_lap else None
     draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
 
 
 def _draw_lap(world: World, run: AgentRun) -> None:
-    from carrl.view.lap import draw_lap  # brings Matplotlib
+    from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:
         best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]

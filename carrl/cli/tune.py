@@ -17,14 +17,14 @@ from carrl.cli.overrides import is_search, readable_overrides
 from carrl.cli.parser import Parser, named_folder
 from carrl.cli.plain import composed
 from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
+from carrl.cli.text.console import Silence
+from carrl.cli.text.tuning import TrialRow, TuningConsole
 from carrl.cli.training import train
 from carrl.errors import CarrlError, ConfigError
-from carrl.run.lock import locked
-from carrl.run.new_folder import check_holds_no_run, make_new
-from carrl.run.objective import OBJECTIVES, Objective
-from carrl.run.trainer import Trainer
-from carrl.view.console import Silence
-from carrl.view.tuning import TrialRow, TuningConsole
+from carrl.train.lock import locked
+from carrl.train.new_folder import check_holds_no_run, make_new
+from carrl.train.objective import OBJECTIVES, Objective
+from carrl.train.trainer import Trainer
 
 STUDY = "study.db"
 WARM_UP_TRIALS, WARM_UP_EVALUATIONS = 4, 2

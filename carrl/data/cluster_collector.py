@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tensordict import TensorDictBase
 
-from carrl.agent.exploring_policy import ExploringPolicy
+from carrl.algorithms.dqn.exploring_policy import ExploringPolicy
 from carrl.data.limits import check_steps
 from carrl.data.ray_cluster import check_ray, check_room, ray_cluster
 from carrl.env.track_env import TrackEnv

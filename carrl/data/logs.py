@@ -15,11 +15,11 @@ from tensordict import TensorDictBase
 from torchrl.data import TensorDictReplayBuffer
 
 from carrl.data.replay_buffer import KEYS
-from carrl.env.action import ActionMap
-from carrl.env.world import World
 from carrl.errors import LogError
 from carrl.log import Log, fill
 from carrl.sim.sensor import Sensor
+from carrl.task.action import ActionMap
+from carrl.task.world import World
 
 Numbers = NDArray[np.float64]
 

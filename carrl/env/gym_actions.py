@@ -11,8 +11,8 @@ import torch
 from gymnasium.error import InvalidAction
 from torch import Tensor
 
-from carrl.env.action import ActionMap, in_words
 from carrl.errors import ConfigError, shown
+from carrl.task.action import ActionMap, in_words
 
 
 class ActionError(ConfigError, InvalidAction):

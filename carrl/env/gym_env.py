@@ -12,15 +12,15 @@ import gymnasium
 import numpy as np
 import torch
 
-from carrl.env.checks import seed_number
 from carrl.env.gym_actions import action_space, one_action
-from carrl.env.task import UNLIMITED, Begun, Task, Tracks, make_task
 from carrl.errors import ConfigError
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.task.checks import seed_number
+from carrl.task.task import UNLIMITED, Begun, Task, Tracks, make_task
+from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.env.rendering import CarLook, FollowPicture, Scene, Window
+    from carrl.render.raster import CarLook, FollowPicture, Scene, Window
 
 OPTIONS = tuple(
     name
@@ -133,7 +133,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
 
     def scene(self) -> "Scene":
         """What a picture of this moment shows; its trail is empty unless there is a render mode."""
-        from carrl.env.rendering import Scene
+        from carrl.render.raster import Scene
 
         if self._now is None:
             raise gymnasium.error.ResetNeeded("call reset before the first picture")
@@ -161,7 +161,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         if self.render_mode is None:
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         self._picture = self._picture or make_follow_picture(self.task)
-        from carrl.env.rendering import Window, pixels
+        from carrl.render.raster import Window, pixels
 
         picture = self._picture.draw(self.scene())
         if self.render_mode == "rgb_array":
@@ -244,13 +244,13 @@ def make_follow_picture(task: Task, size: tuple[int, int] | None = None) -> "Fol
     Raises:
         ConfigError: pygame is not installed.
     """
-    from carrl.env.rendering import SIZE, FollowPicture
+    from carrl.render.raster import SIZE, FollowPicture
 
     return FollowPicture(task.simulator.tracks, _look(task), size or SIZE)
 
 
 def _look(task: Task) -> "CarLook":
-    from carrl.env.rendering import CarLook
+    from carrl.render.raster import CarLook
 
     simulator = task.simulator
     return CarLook(

@@ -14,17 +14,17 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from carrl.env.checks import seed_list, seed_number
 from carrl.env.gym_actions import action_space, many_actions
 from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode, observation_space
-from carrl.env.random_streams import CarStreams
-from carrl.env.task import Begun, StepResult, Task, Tracks, make_task
 from carrl.errors import ConfigError
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.task.checks import seed_list, seed_number
+from carrl.task.random_streams import CarStreams
+from carrl.task.task import Begun, StepResult, Task, Tracks, make_task
+from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.env.rendering import FleetPicture, Window
+    from carrl.render.raster import FleetPicture, Window
 
 Bools = NDArray[np.bool_]
 Step = tuple[np.ndarray, np.ndarray, Bools, Bools, dict[str, Any]]
@@ -155,7 +155,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._now is None:
             raise ResetNeeded("call reset before the first picture")
         self._picture = self._picture or _make_fleet_picture(self.task)
-        from carrl.env.rendering import Window, pixels
+        from carrl.render.raster import Window, pixels
 
         shown = self._now.state.cars.track.numpy() == 0
         cars = f"{shown.sum():,} of {self.num_envs:,} cars" if not shown.all() else f"{self.num_envs:,} cars"
@@ -273,6 +273,6 @@ def _finals(task: Task, now: Begun, terms: Tensor, ended: Bools) -> dict[str, An
 
 
 def _make_fleet_picture(task: Task) -> "FleetPicture":
-    from carrl.env.rendering import FleetPicture
+    from carrl.render.raster import FleetPicture
 
     return FleetPicture(task.simulator.track, task.simulator.vehicle.body_radius)

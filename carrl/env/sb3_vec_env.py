@@ -12,8 +12,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from carrl.env.gym_actions import action_space
 from carrl.env.gym_env import observation_space
-from carrl.env.task import Tracks
 from carrl.env.track_env import TrackEnv
+from carrl.task.task import Tracks
 
 
 class TrackVecEnv(VecEnv):

@@ -11,18 +11,18 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from carrl.env.action import ActionMap, in_words
-from carrl.env.checks import seed_list, seed_number
-from carrl.env.episode import EpisodeState
-from carrl.env.observation import Observation
-from carrl.env.reward import Reward
-from carrl.env.start import Start
-from carrl.env.task import Begun, StepResult, Tracks, make_task
 from carrl.errors import ConfigError, shown
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.track import Track
 from carrl.sim.vehicle import POSE, VehicleModel
+from carrl.task.action import ActionMap, in_words
+from carrl.task.checks import seed_list, seed_number
+from carrl.task.episode import EpisodeState
+from carrl.task.observation import Observation
+from carrl.task.reward import Reward
+from carrl.task.start import Start
+from carrl.task.task import Begun, StepResult, Tracks, make_task
+from carrl.tracks.track import Track
 
 
 class TrackEnv(EnvBase):

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from carrl.sim.inspection import road_widths
 from carrl.sim.sensor import Sensor
+from carrl.tracks.inspection import road_widths
 
 if TYPE_CHECKING:
-    from carrl.sim.track import Track
     from carrl.sim.vehicle import VehicleModel
+    from carrl.tracks.track import Track
 
 _MOST_PLACES = 4000
 """Looked at along a road; on the Nordschleife they stand 5 m apart."""

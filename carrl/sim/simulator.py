@@ -16,11 +16,11 @@ from torch import Tensor
 from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.geometry import cross, path_clearance, ray_distances
-from carrl.sim.routes import Routes
 from carrl.sim.sensor import Sensor
 from carrl.sim.terrain import Plot, Terrain
-from carrl.sim.track import Track
 from carrl.sim.vehicle import VehicleModel
+from carrl.tracks.routes import Routes
+from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
     from carrl.sim.kernels import Kernels

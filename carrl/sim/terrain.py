@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
-from carrl.sim.bridges import Stretch, on_stretch
-from carrl.sim.track import Track
 from carrl.sim.wall_grid import WallGrid
+from carrl.tracks.bridges import Stretch, on_stretch
+from carrl.tracks.track import Track
 
 
 class Plot(NamedTuple):

@@ -132,7 +132,7 @@ def test_no_display_and_no_pygame_are_one_sentence_each(monkeypatch, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("carrl: no window can be opened: ")
     monkeypatch.setitem(sys.modules, "pygame", None)
-    monkeypatch.delitem(sys.modules, "carrl.env.rendering")
+    monkeypatch.delitem(sys.modules, "carrl.render.raster")
     assert main(["drive"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "carrl: drawing needs pygame, which is not installed; pip install 'carrl[render]'"

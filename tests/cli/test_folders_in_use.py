@@ -9,8 +9,8 @@ import hydra.core.utils
 import pytest
 
 from carrl.cli.main import main
-from carrl.run.lock import LOCK, locked
-from carrl.run.sweep import SweepFolder
+from carrl.train.lock import LOCK, locked
+from carrl.train.sweep import SweepFolder
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=16"]
 SETTINGS = [".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml"]

@@ -38,7 +38,7 @@ def trained(circuits, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         lines: list[str] = []
         patch.setattr("carrl.cli.road_warning.print", lambda text, file: lines.append(text), raising=False)
-        patch.setattr("carrl.sim.circuits._logger.warning", lambda text, *values: lines.append(text % values))
+        patch.setattr("carrl.tracks.circuits._logger.warning", lambda text, *values: lines.append(text % values))
         folder = ["track=circuits", "track.count=0", "track.validation=1", f"track.folder={circuits}"]
         assert main(["train", *TINY, *folder, f"hydra.run.dir={run}"]) == 0
     return run, lines

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from carrl.cli.main import main
-from carrl.run.sweep import JobNote, SweepFolder, job_name
+from carrl.train.sweep import JobNote, SweepFolder, job_name
 from tests.processes import carrl_command
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=16"]

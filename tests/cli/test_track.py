@@ -9,7 +9,7 @@ from PIL import Image
 
 from carrl.cli.main import main
 from carrl.config import build_node
-from carrl.sim.track import Track, builtin_names
+from carrl.tracks.track import Track, builtin_names
 from tests.configs import compose
 
 NARROW = "corners: [[0, 0], [60, 0], [60, 60], [0, 60]]\ncorner_radius: 10\nwidth: 0.8\n"

@@ -12,7 +12,7 @@ import yaml
 
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
-from carrl.run.report.runs import find_runs
+from carrl.report.runs import find_runs
 from tests.processes import carrl_command
 
 TINY = [

@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.env.task import Task
-from carrl.run.offline_trainer import OfflineTrainer
 from carrl.sim.simulator import Simulator
+from carrl.task.task import Task
+from carrl.train.offline_trainer import OfflineTrainer
 from tests.data.logs import METADATA, logged_transitions, write_log
 
 TINY = ["data=log", "data.updates=20", "replay_buffer.batch_size=4", "track=oval", "compile=false"]

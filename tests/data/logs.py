@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
-from carrl.record.writer import LogWriter
+from carrl.log.writer import LogWriter
 from carrl.sim.sensor import Sensor
 
 STEPS = (  # car, episode, step of each transition: two cars in turn; car 0 crashes after 3 steps and begins episode 2

@@ -7,11 +7,11 @@ import torch
 
 from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.replay_buffer import KEYS, make_replay_buffer
-from carrl.env.action import DiscreteActions
-from carrl.env.observation import rays_and_last_action
 from carrl.errors import LogError
 from carrl.log import load
 from carrl.sim.sensor import Sensor
+from carrl.task.action import DiscreteActions
+from carrl.task.observation import rays_and_last_action
 from tests.data.logs import METADATA, STEPS, logged_transitions, write_log
 from tests.worlds import make_world
 

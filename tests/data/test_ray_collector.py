@@ -15,10 +15,10 @@ import pytest
 import torch
 
 from carrl.cli.main import main
+from carrl.cli.text.console import TrainingDisplay
 from carrl.errors import ConfigError
 from carrl.log import load, read_episodes, verify
-from carrl.run.build import build_pipeline
-from carrl.view.console import TrainingDisplay
+from carrl.train.build import build_pipeline
 from tests.configs import compose
 from tests.processes import addresses_listened_to, descendants, is_running
 

@@ -5,11 +5,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import MultiStep
 
-from carrl.agent.loss import make_dqn_loss
-from carrl.agent.target_updater import make_hard_update
+from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.dqn.loss import make_dqn_loss
 from carrl.data.returns import NStepReturns
 from carrl.errors import ConfigError
-from tests.agent.test_learning_rules import linear_network
+from tests.algorithms.test_learning_rules import linear_network
 
 GAMMA = 0.5
 

@@ -6,12 +6,12 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from carrl.env.action import ActionMap, steer3
-from carrl.env.episode import EpisodeState, StepContext
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Outcome, Simulator
-from carrl.sim.track import Track
 from carrl.sim.vehicle import Vehicle
+from carrl.task.action import ActionMap, steer3
+from carrl.task.episode import EpisodeState, StepContext
+from carrl.tracks.track import Track
 
 RANGE = 1.0
 """Of the sensor, m, so that distances are readings."""

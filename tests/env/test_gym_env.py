@@ -10,9 +10,9 @@ from gymnasium.utils.env_checker import check_env
 
 import carrl
 from carrl import Reward, Start, paper_reward, rays_and_last_action
-from carrl.env.reward import Shaping
-from carrl.env.task import make_task
 from carrl.errors import ConfigError
+from carrl.task.reward import Shaping
+from carrl.task.task import make_task
 
 PAPER_TERMS = paper_reward().term_names
 

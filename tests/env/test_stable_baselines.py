@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import carrl
-from carrl.env.start import Start
 from carrl.errors import ConfigError
+from carrl.task.start import Start
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'carrl[sb3]'")
 
@@ -100,7 +100,7 @@ def test_its_own_vectors_of_copies_need_no_pygame(monkeypatch):
     from stable_baselines3.common.env_util import make_vec_env
 
     monkeypatch.setitem(sys.modules, "pygame", None)
-    for module in [name for name in sys.modules if name.startswith("carrl.env.rendering")]:
+    for module in [name for name in sys.modules if name.startswith("carrl.render.raster")]:
         monkeypatch.delitem(sys.modules, module)
     envs = make_vec_env("carrl/Track-v0", n_envs=2, seed=0)
     envs.reset()

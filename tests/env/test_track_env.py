@@ -9,8 +9,8 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from carrl import Reward, Sensor, Start, Track, TrackEnv, Vehicle, paper_reward, rays_and_last_action
-from carrl.env.reward import Shaping
 from carrl.errors import ConfigError, TrackError
+from carrl.task.reward import Shaping
 
 
 def drive(env, actions):

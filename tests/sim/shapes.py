@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from carrl.sim.centreline import Centreline
-from carrl.sim.drawing import rounded_polygon
-from carrl.sim.track import Track
+from carrl.tracks.centreline import Centreline
+from carrl.tracks.drawing import rounded_polygon
+from carrl.tracks.track import Track
 
 Walls = list[tuple[tuple[float, float], tuple[float, float]]]
 

@@ -2,8 +2,8 @@
 
 from torch import Tensor
 
-from carrl.env.action import steer3
 from carrl.sim.simulator import Outcome
+from carrl.task.action import steer3
 
 ACTIONS = FORWARD, LEFT, RIGHT = range(3)
 

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from carrl.env.reward import paper_reward
-from carrl.sim.centreline import Centreline
 from carrl.sim.drivability import Car, metres, tightest_bend, unsuitable
 from carrl.sim.sensor import Sensor
-from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Bicycle, Vehicle
+from carrl.task.reward import paper_reward
+from carrl.tracks.centreline import Centreline
+from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import rounded_road, straight_road_track
 
 SMALL = Car(turn_radius=0.7, step_length=0.1, body_radius=0.15, near_wall=0.2)

@@ -22,8 +22,8 @@ from carrl.sim.kernels import Kernels
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.terrain import Plot, Terrain
-from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
+from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import random_poses, random_track
 from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer, tensors
 from tests.sim.vehicles import Interpreted, Odometer
@@ -313,7 +313,8 @@ def test_a_copy_of_a_simulator_steps_like_the_original(copied):
 
 SENSE_ONCE = """
 import torch
-from carrl.sim import kernels, sensor, simulator, track, vehicle
+from carrl.sim import kernels, sensor, simulator, vehicle
+from carrl.tracks import track
 car = simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor())
 hits = sum(kernels._sense.dispatcher.stats.cache_hits.values())
 print(car.sense(simulator.CarState.at(torch.zeros(1, 3))).tolist(), hits)
@@ -344,7 +345,8 @@ def test_without_a_folder_for_the_cache_it_compiles_all_the_same():
 def test_numba_is_imported_for_a_compiled_simulator_only():
     code = """
 import sys, carrl
-from carrl.sim import sensor, simulator, track, vehicle
+from carrl.sim import sensor, simulator, vehicle
+from carrl.tracks import track
 simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor(), compiled=False)
 print("numba" in sys.modules)
 """

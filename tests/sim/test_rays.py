@@ -12,8 +12,8 @@ from carrl.errors import ConfigError
 from carrl.sim.geometry import ray_distances
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
+from carrl.tracks.track import Track, builtin_names
 from tests.reference.scalar_rays import ray_distance
 from tests.sim.shapes import as_floats, random_poses, random_track, square_room
 

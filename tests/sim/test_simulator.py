@@ -14,8 +14,8 @@ from torch import Tensor
 from carrl.sim.geometry import path_clearance
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Outcome, Simulator
-from carrl.sim.track import Track, builtin_names
 from carrl.sim.vehicle import Vehicle
+from carrl.tracks.track import Track, builtin_names
 from tests.reference.scalar_collision import path_distance, segment_distance
 from tests.sim.shapes import as_floats, random_poses, random_track, straight_road_track
 from tests.sim.steering import FORWARD, LEFT, RIGHT, steer, tensors

@@ -12,11 +12,11 @@ from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted, json_text
 from carrl.cli.log.transition_rows import transition_rows
 from carrl.errors import DamagedLogError, LogError
-from carrl.record.messages import Episode, Metrics
-from carrl.record.reader import Log
-from carrl.record.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
-from carrl.record.selection import EVERYTHING, Selection
-from carrl.record.trace import read_scene
+from carrl.log.messages import Episode, Metrics
+from carrl.log.reader import Log
+from carrl.log.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
+from carrl.log.selection import EVERYTHING, Selection
+from carrl.log.trace import read_scene
 
 
 def add_to(verbs: Verbs) -> None:

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from carrl.errors import LogError
-from carrl.record.messages import Episode
-from carrl.record.reader import Log
-from carrl.record.selection import Selection
-from carrl.record.trace import EpisodeTrace, read_trace
+from carrl.log.messages import Episode
+from carrl.log.reader import Log
+from carrl.log.selection import Selection
+from carrl.log.trace import EpisodeTrace, read_trace
 
 
 def best_first(episode: Episode) -> float:

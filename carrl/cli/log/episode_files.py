@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
 
-from carrl.record.reader import Log
-from carrl.record.trace import EpisodeTrace
+from carrl.log.reader import Log
+from carrl.log.trace import EpisodeTrace
 
 Writer: TypeAlias = Callable[[Path, EpisodeTrace, str], None]
 
@@ -16,19 +16,19 @@ def episode_title(log: Log, trace: EpisodeTrace) -> str:
 
 
 def _write_page(path: Path, trace: EpisodeTrace, title: str) -> None:
-    from carrl.view.replay_page import write_replay_page
+    from carrl.export.page import write_replay_page
 
     write_replay_page(path, trace, title)
 
 
 def _write_recording(path: Path, trace: EpisodeTrace, title: str) -> None:
-    from carrl.view.rerun_recording import write_recording
+    from carrl.export.rerun import write_recording
 
     write_recording(path, trace, title)
 
 
 def _write_viewer_log(path: Path, trace: EpisodeTrace, title: str) -> None:
-    from carrl.view.viewer_log import write_viewer_log
+    from carrl.export.foxglove import write_viewer_log
 
     write_viewer_log(path, trace, title)
 
@@ -38,7 +38,7 @@ def _write_video(path: Path, trace: EpisodeTrace, title: str) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
-    from carrl.view.video import write_video
+    from carrl.render.video import write_video
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:

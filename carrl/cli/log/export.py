@@ -9,8 +9,8 @@ from carrl.cli.log.chosen_episode import choose_trace
 from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted
 from carrl.errors import CarrlError
-from carrl.record.reader import Log
-from carrl.view import log_table
+from carrl.export import table as log_table
+from carrl.log.reader import Log
 
 
 def add_to(verbs: Verbs) -> None:

@@ -10,9 +10,9 @@ from typing import Any
 from carrl.cli.log.arguments import Verbs, add_json, add_verb
 from carrl.cli.log.terminal import print_json
 from carrl.log import LogSummary, read_summary
-from carrl.record.metadata import ATTACHMENT, CHECKSUM
-from carrl.record.scene import Scene
-from carrl.record.schema import COLUMNS
+from carrl.log.metadata import ATTACHMENT, CHECKSUM
+from carrl.log.scene import Scene
+from carrl.log.schema import COLUMNS
 
 _RUN = {"seed": "seed", "track": "track", "num_envs": "cars", "git_commit": "commit"}
 """Entries of the metadata that the first table shows, and what it calls them."""

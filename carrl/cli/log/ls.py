@@ -10,9 +10,9 @@ from carrl.cli.log.chosen_episode import best_first
 from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import aligned, counted, print_json
 from carrl.errors import DamagedLogError
-from carrl.record.messages import Episode
-from carrl.record.reader import Log
-from carrl.record.trace import read_scene
+from carrl.log.messages import Episode
+from carrl.log.reader import Log
+from carrl.log.trace import read_scene
 
 ORDERS: dict[str, Callable[[Episode], float]] = {
     "episode": lambda episode: episode.episode,

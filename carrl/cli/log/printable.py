@@ -2,9 +2,9 @@
 
 import dataclasses
 
+from carrl.log.scene import Scene
+from carrl.log.trace import EpisodeTrace
 from carrl.printable import printable
-from carrl.record.scene import Scene
-from carrl.record.trace import EpisodeTrace
 
 __all__ = ["printable", "printable_scene", "printable_trace"]
 

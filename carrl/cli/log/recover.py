@@ -9,7 +9,7 @@ from carrl.cli.log.arguments import Verbs, add_json, add_verb
 from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted, print_json
 from carrl.log import Recovery, recover
-from carrl.record.schema import TRANSITIONS
+from carrl.log.schema import TRANSITIONS
 
 
 def add_to(verbs: Verbs) -> None:

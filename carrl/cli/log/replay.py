@@ -11,7 +11,7 @@ from carrl.cli.log.arguments import Verbs, add_episode, add_verb, check_output
 from carrl.cli.log.chosen_episode import choose_trace
 from carrl.cli.log.printable import printable
 from carrl.errors import CarrlError
-from carrl.record.reader import Log
+from carrl.log.reader import Log
 
 
 def add_to(verbs: Verbs) -> None:
@@ -50,7 +50,7 @@ def _folder_beside(source: Path) -> Path:
 
 def _open(path: Path, is_recording: bool) -> None:
     if is_recording:
-        from carrl.view.rerun_recording import open_recording
+        from carrl.export.rerun import open_recording
 
         open_recording(path)
         return

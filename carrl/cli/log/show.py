@@ -11,8 +11,8 @@ from carrl.cli.log.printable import printable_trace
 from carrl.cli.log.terminal import print_json
 from carrl.cli.log.transition_rows import transition_rows
 from carrl.errors import LogError
-from carrl.record.reader import Log
-from carrl.record.trace import EpisodeTrace
+from carrl.log.reader import Log
+from carrl.log.trace import EpisodeTrace
 
 _STEPS = re.compile(r"(\d{0,9}):(\d{0,9})", re.ASCII)
 
@@ -85,6 +85,6 @@ def _document(trace: EpisodeTrace, rows: range) -> dict[str, Any]:
 
 def _print(trace: EpisodeTrace, rows: range | None) -> None:
     from carrl.cli.log.console import TextConsole
-    from carrl.view.episode_text import print_episode
+    from carrl.cli.text.episode_text import print_episode
 
     print_episode(printable_trace(trace), TextConsole(), rows)

@@ -14,11 +14,11 @@ from carrl.cli.log.arguments import Verbs, add_json, add_verb, check_output
 from carrl.cli.log.printable import printable_scene
 from carrl.cli.log.terminal import print_json
 from carrl.errors import CarrlError, DamagedLogError, LogError
-from carrl.record.messages import Episode
-from carrl.record.reader import Log
-from carrl.record.scene import Scene
-from carrl.record.trace import read_scene
-from carrl.view.log_stats import GREATEST_RETURN, LogStats, section_name
+from carrl.log.messages import Episode
+from carrl.log.reader import Log
+from carrl.log.scene import Scene
+from carrl.log.trace import read_scene
+from carrl.report.log_stats import GREATEST_RETURN, LogStats, section_name
 
 
 def add_to(verbs: Verbs) -> None:
@@ -48,14 +48,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, stats: LogStats, title: str) -> None:
-    from carrl.view.log_stats_figure import draw_log_stats
+    from carrl.report.log_stats_figure import draw_log_stats
 
     draw_log_stats(path, stats, title)
 
 
 def _print(stats: LogStats) -> None:
     from carrl.cli.log.console import TextConsole
-    from carrl.view.log_stats_text import print_log_stats
+    from carrl.cli.text.log_stats_text import print_log_stats
 
     print_log_stats(dataclasses.replace(stats, scene=printable_scene(stats.scene)), TextConsole())
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.record.codec import Columns
-from carrl.record.schema import COLUMNS, Column
+from carrl.log.codec import Columns
+from carrl.log.schema import COLUMNS, Column
 
 
 def transition_rows(columns: Columns) -> Iterator[dict[str, Any]]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from carrl.cli.main import main
-from carrl.record.layout import tensordict_of
-from carrl.record.messages import Episode, Metrics
-from carrl.record.scene import Scene
-from carrl.record.writer import LogWriter
+from carrl.log.layout import tensordict_of
+from carrl.log.messages import Episode, Metrics
+from carrl.log.scene import Scene
+from carrl.log.writer import LogWriter
 
 ROUNDS = 18
 DRIVES = {

@@ -10,9 +10,9 @@ import pytest
 
 import carrl.log
 from carrl.cli.main import main
-from carrl.record.layout import tensordict_of
-from carrl.record.schema import COLUMNS
-from carrl.record.writer import LogWriter
+from carrl.log.layout import tensordict_of
+from carrl.log.schema import COLUMNS
+from carrl.log.writer import LogWriter
 from tests.cli.log.conftest import columns_of
 
 

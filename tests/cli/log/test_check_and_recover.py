@@ -7,7 +7,7 @@ import pytest
 import carrl.log
 from carrl.cli.main import main
 from tests.cli.log.conftest import write_log
-from tests.record.rewriting import rewrite
+from tests.log.rewriting import rewrite
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from carrl.record.layout import tensordict_of
-from carrl.record.writer import LogWriter
+from carrl.log.layout import tensordict_of
+from carrl.log.writer import LogWriter
 from tests.cli.log.conftest import METADATA, ROUNDS, SCENE, TRACK, columns_of, ended_in
 
 LARGEST = 3e38

@@ -2,8 +2,8 @@
 
 import json
 
-from carrl.record.layout import tensordict_of
-from carrl.record.writer import LogWriter
+from carrl.log.layout import tensordict_of
+from carrl.log.writer import LogWriter
 from tests.cli.log.conftest import columns_of
 
 

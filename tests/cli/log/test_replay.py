@@ -58,7 +58,7 @@ def test_without_a_browser_it_says_what_to_do(capsys, log, monkeypatch):
 def test_with_rerun_a_recording_is_written_and_shown(run, log, monkeypatch):
     pytest.importorskip("rerun", reason="recordings need it; pip install 'carrl[export]'")
     shown = []
-    monkeypatch.setattr("carrl.view.rerun_recording.open_recording", shown.append)
+    monkeypatch.setattr("carrl.export.rerun.open_recording", shown.append)
     recording = log.with_name("episode-2.rrd")
     assert run("replay", log, "--rerun") == f"{recording}\n"
     assert shown == [recording]

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from carrl.cli.main import main
-from carrl.record.writer import LogWriter
+from carrl.log.writer import LogWriter
 from tests.cli.log.conftest import SCENE, write_log
 
 

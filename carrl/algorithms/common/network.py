@@ -1,0 +1,184 @@
+"""The action-value networks.
+
+Shapes: `N` cars or transitions, `R` rays.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torchrl.modules import MLP, NoisyLinear, QValueActor
+from torchrl.modules.models import DuelingMlpDQNet
+
+from carrl.errors import ConfigError, shown
+
+MOST_LAYERS = 64
+MOST_WEIGHTS = 2**26
+"""Of a network, all layers together: 256 MiB; the paper's has 400."""
+
+
+class Power(nn.Module):
+    """Raises every value, none of them negative, to one exponent."""
+
+    def __init__(self, exponent: float) -> None:
+        super().__init__()
+        self.exponent = exponent
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Of the same shape."""
+        return values**self.exponent
+
+
+def make_q_network(
+    hidden_sizes: Sequence[int],
+    input_exponent: float = 1.0,
+    *,
+    observation_size: int,
+    action_count: int,
+    generator: torch.Generator,
+) -> QValueActor:
+    """A ReLU network with a linear output that picks the action of the highest value.
+
+    Reads `observation` [N, R]; writes `action_value` [N, 3], `chosen_action_value` [N, 1] and the greedy `action`
+    [N], int64. Weights are He-initialised
+    (uniform, gain of ReLU) and biases start at zero: with torch's default fewer runs learn to lap (docs/paper.md).
+
+    Readings of a sensor that sees far are small where it matters, near the walls; an `input_exponent` of less than 1
+    spreads them: at 0.5 a hundredth of the range becomes a tenth.
+
+    Source: He et al. 2015, "Delving Deep into Rectifiers", eq. 10; layer sizes from the paper's Table I.
+
+    Raises:
+        ConfigError: a hidden layer without units, too many layers or weights, or an exponent that is not positive.
+    """
+    check_hidden_sizes(hidden_sizes, observation_size, action_count)
+    mlp = MLP(
+        in_features=observation_size,
+        out_features=action_count,
+        num_cells=list(hidden_sizes),
+        activation_class=nn.ReLU,
+    )
+    initialise(mlp, generator)
+    return QValueActor(on_powers(mlp, input_exponent), in_keys=["observation"], action_space="categorical")
+
+
+def make_dueling_network(
+    hidden_sizes: Sequence[int],
+    input_exponent: float = 1.0,
+    *,
+    observation_size: int,
+    action_count: int,
+    generator: torch.Generator,
+) -> QValueActor:
+    """A network that values the situation and, beside it, how much better each action is than their mean.
+
+    Both streams have a hidden layer of their own, of the last of the sizes, and share all layers before. What it reads
+    and writes, and how it is initialised, is as in `make_q_network`.
+
+    Source: Wang et al. 2016, "Dueling Network Architectures for Deep Reinforcement Learning", eq. 9.
+
+    Raises:
+        ConfigError: as `make_q_network`, and for fewer than two hidden layers.
+    """
+    check_hidden_sizes(hidden_sizes, observation_size, action_count)
+    if len(hidden_sizes) < 2:
+        raise ConfigError(
+            f"network.hidden_sizes is {list(hidden_sizes)}; a dueling network has at least 2: the last one is that of "
+            "its two streams, and the others they share"
+        )
+    *shared, joint, stream = hidden_sizes
+    layers = DuelingMlpDQNet(
+        action_count,
+        mlp_kwargs_feature={
+            "in_features": observation_size,
+            "out_features": joint,
+            "num_cells": shared,
+            "depth": len(shared),
+            "activation_class": nn.ReLU,
+        },
+        mlp_kwargs_output={"in_features": joint, "num_cells": [stream], "activation_class": nn.ReLU},
+    )
+    initialise(layers, generator)
+    return QValueActor(on_powers(layers, input_exponent), in_keys=["observation"], action_space="categorical")
+
+
+def make_noisy_network(
+    hidden_sizes: Sequence[int],
+    initial_noise: float,
+    input_exponent: float = 1.0,
+    *,
+    observation_size: int,
+    action_count: int,
+    generator: torch.Generator,
+) -> QValueActor:
+    """A ReLU network whose weights are disturbed by noise of a strength that is learnt, while it explores and learns.
+
+    What it reads and writes is as in `make_q_network`; the noise is drawn by
+    `carrl.algorithms.common.weight_noise`. Greedy drives have none.
+
+    Source: Fortunato et al. 2018, "Noisy Networks for Exploration", section 3.2 with factorised noise.
+
+    Raises:
+        ConfigError: as `make_q_network`, and for noise of a strength that is none.
+    """
+    check_hidden_sizes(hidden_sizes, observation_size, action_count)
+    if not 0 <= initial_noise < math.inf:
+        raise ConfigError(f"network.initial_noise is {initial_noise}; it must be a number of at least 0")
+    mlp = MLP(
+        in_features=observation_size,
+        out_features=action_count,
+        num_cells=list(hidden_sizes),
+        activation_class=nn.ReLU,
+        layer_class=NoisyLinear,
+        layer_kwargs={"std_init": initial_noise},
+    )
+    for layer in mlp:
+        if isinstance(layer, NoisyLinear):
+            bound = 1 / math.sqrt(layer.in_features)
+            layer.weight_mu.data.uniform_(-bound, bound, generator=generator)
+            layer.bias_mu.data.uniform_(-bound, bound, generator=generator)
+            layer.weight_epsilon.zero_()  # TorchRL drew them from torch's own generator
+            layer.bias_epsilon.zero_()
+    return QValueActor(on_powers(mlp, input_exponent), in_keys=["observation"], action_space="categorical")
+
+
+def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
+    """The layers, which then read their inputs raised to the exponent.
+
+    Raises:
+        ConfigError: the exponent is not positive.
+    """
+    if not 0 < input_exponent < math.inf:
+        raise ConfigError(f"network.input_exponent is {input_exponent}; it must be a positive number")
+    if input_exponent == 1:
+        return layers
+    following = layers if isinstance(layers, nn.Sequential) else [layers]
+    return nn.Sequential(Power(input_exponent), *following)
+
+
+def is_dueling(network: QValueActor) -> bool:
+    """Whether `make_dueling_network` made it."""
+    return any(isinstance(module, DuelingMlpDQNet) for module in network.modules())
+
+
+def check_hidden_sizes(hidden_sizes: Sequence[int], observation_size: int, outputs: int) -> None:
+    """Raises ConfigError for a hidden layer without units, and for too many layers or weights."""
+    if any(size < 1 for size in hidden_sizes):
+        raise ConfigError(f"network.hidden_sizes is {shown(list(hidden_sizes))}; every layer needs at least 1 unit")
+    sizes = [observation_size, *hidden_sizes, outputs]
+    weights = sum(before * after for before, after in pairwise(sizes))
+    if len(hidden_sizes) > MOST_LAYERS or weights > MOST_WEIGHTS:
+        raise ConfigError(
+            f"network.hidden_sizes has {len(hidden_sizes)} layers with {weights} weights; "
+            f"it may have at most {MOST_LAYERS} layers and {MOST_WEIGHTS} weights"
+        )
+
+
+def initialise(layers: nn.Module, generator: torch.Generator) -> None:
+    """Draws the weights of all linear layers anew, as `make_q_network` says."""
+    for layer in layers.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
+            nn.init.zeros_(layer.bias)

@@ -1,0 +1,247 @@
+"""Drives a policy without exploration and measures how well it drives.
+
+Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torchrl.data import Categorical
+
+from carrl.errors import ConfigError, shown
+from carrl.rows import Rows
+from carrl.sim.simulator import CarState, Simulator
+from carrl.task.action import ActionMap, steer3
+from carrl.task.observation import rays_only
+from carrl.task.reward import LAP_TERMS
+from carrl.task.task import Task
+from carrl.task.world import World
+
+Policy = Callable[[Tensor], Tensor]
+"""Observations [B, O] to actions [B, ...]."""
+
+TIME_LIMIT_LAPS = 2.0
+"""A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
+
+MOST_STEPS, MOST_READINGS = 2**18, 2**28
+"""Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One car's drive: until the lap is complete, it touches a wall, or the time is up.
+
+    Attributes:
+        start: station of the start, m along the centreline from the start line.
+        lap_completed: all gates passed in order.
+        collided: it touched a wall.
+        progress: share of the lap driven, in [0, 1].
+        lap_reward: sum of the paper's rewards.
+        steering_reward: sum of what turns and switches earn beside it.
+        lap_steps: steps driven.
+        forward_share: share of the steps with the action forward.
+        switches_per_100m: how often the action changed, per 100 m driven.
+        reversals: how often left followed right or right followed left, without a step forward between.
+        near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
+        poses: before each step and after the last, [T + 1, 3].
+        ranges: at each pose, [T + 1, R], m.
+        actions: [T].
+    """
+
+    start: float
+    lap_completed: bool
+    collided: bool
+    progress: float
+    lap_reward: float
+    steering_reward: float
+    lap_steps: int
+    forward_share: float
+    switches_per_100m: float
+    reversals: int
+    near_wall_share: float
+    poses: np.ndarray = field(repr=False)
+    ranges: np.ndarray = field(repr=False)
+    actions: np.ndarray = field(repr=False)
+
+    def measures(self) -> dict[str, Any]:
+        """The figures without the trajectory, ready for JSON."""
+        arrays = ("poses", "ranges", "actions")
+        return {name: value for name, value in vars(self).items() if name not in arrays}
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it, arrays as tensors."""
+        return {
+            name: torch.as_tensor(value) if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> "Drive":
+        """What `state_dict` told of."""
+        values: dict[str, Any] = {
+            name: value.numpy() if isinstance(value, Tensor) else value for name, value in state.items()
+        }
+        return cls(**values)
+
+
+def rule_world(world: World) -> World:
+    """The same world for the hand-written rule, which reads the rays alone and has the paper's actions."""
+    return replace(world, observation=rays_only(), action=steer3())
+
+
+def rule_policy(readings: Tensor) -> Tensor:
+    """The hand-written baseline: steer to the side whose rays are longer in sum, unless they differ by little.
+
+    Its actions are those of `steer3`: 0 straight on, 1 left, 2 right.
+    """
+    half = readings.shape[1] // 2
+    to_left = readings[:, -half:].sum(-1) - readings[:, :half].sum(-1)
+    dead_band = 0.05
+    turn = torch.where(to_left > 0, 1, 2)
+    return torch.where(to_left.abs() > dead_band, turn, 0)
+
+
+def random_policy(seed: int, action: ActionMap) -> Policy:
+    """Actions drawn evenly, the same for the same seed."""
+    generator, spec = torch.Generator().manual_seed(seed), action.spec
+
+    def act(observation: Tensor) -> Tensor:
+        cars = len(observation)
+        if isinstance(spec, Categorical):
+            return torch.randint(spec.n, (cars,), generator=generator).to(observation.device)
+        return (2 * torch.rand(cars, *spec.shape, generator=generator) - 1).to(observation.device)
+
+    return act
+
+
+def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -> list[Drive]:
+    """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
+
+    The places are spread evenly along the track, from the start line on.
+
+    Raises:
+        ConfigError: fewer than one start place, or a drive takes too many steps.
+    """
+    if starts < 1:
+        raise ConfigError(f"starts is {starts}; it must be at least 1")
+    stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
+    track = torch.arange(len(stations)).repeat_interleave(starts)
+    return rollout(world, simulator, policy, torch.cat(stations), track)
+
+
+@dataclass(frozen=True)
+class _Moment(Rows):
+    """What is kept of each moment of a rollout, [B, ...]; of several moments [T, B, ...]."""
+
+    cars: CarState
+    ranges: Tensor
+    collided: Tensor
+    reward_terms: Tensor
+    action: Tensor
+    control: Tensor
+
+
+def rollout(
+    world: World, simulator: Simulator, policy: Policy, stations: Tensor, track: Tensor | None = None
+) -> list[Drive]:
+    """Drives one lap from each of these places.
+
+    Args:
+        world: how a car drives and what counts; its own tracks do not matter.
+        simulator: of the world, on the tracks to drive on.
+        policy: what to do.
+        stations: of the starts, m along the centreline, [B].
+        track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
+
+    Raises:
+        ConfigError: that takes too many steps, or a place is not a finite number.
+    """
+    stations = stations.double()
+    if not stations.isfinite().all():
+        raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
+    task = world.evaluation_task(simulator, len(stations))
+    cars = simulator.start(stations, track)
+    limits = _time_limits(simulator, cars)
+    _check_limits(limits, simulator)
+    now = task.start_at(cars)
+    state, observation = now.state, now.observation
+    moments = [_first_moment(task, state.last_action, cars)]
+    driving = torch.ones_like(cars.next_gate, dtype=torch.bool)
+    for step in range(1, int(limits.max()) + 1):
+        action = policy(observation)
+        after = task.step(state, action)
+        state, observation = after.state, after.observation
+        control = task.action.controls(action)
+        outcome = after.outcome
+        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, after.reward_terms, action, control))
+        driving &= ~(outcome.collided | simulator.has_lapped(outcome.cars)) & (step < limits)
+        if not driving.any():
+            break
+    return _sum_up(_Moment.stack(moments), limits, task, stations)
+
+
+def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
+    terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
+    nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
+    return _Moment(cars, task.simulator.sense(cars), nothing, terms, action, task.action.controls(action))
+
+
+def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
+    """Steps after which each car is stopped, [B], int64."""
+    lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
+    return (TIME_LIMIT_LAPS * lap_steps).round().long().to(cars.track.device)[cars.track]
+
+
+def _check_limits(limits: Tensor, simulator: Simulator) -> None:
+    """Raises ConfigError for drives of more steps and readings than can be kept."""
+    steps, rays = int(limits.max()), simulator.sensor.rays
+    if steps > MOST_STEPS or steps * len(limits) * rays > MOST_READINGS:
+        names = ", ".join(track.name for track in simulator.tracks[:3])
+        raise ConfigError(
+            f"a lap of track '{names}' may take {steps} steps with {rays} rays from each of {len(limits)} places, more "
+            "than can be kept; make the car faster or its time step longer, or drive from fewer places"
+        )
+
+
+def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> list[Drive]:
+    """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
+    simulator, reward = task.simulator, task.reward
+    ended = course.collided | simulator.has_lapped(course.cars)
+    lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
+    last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
+    near = reward.near_wall.is_near_wall(course.ranges[1:] / simulator.sensor.max_range)
+    lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
+    steer = _steer(course.control, simulator.vehicle.control_names)
+    progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
+    drives = []
+    for car, steps in enumerate(lengths.tolist()):
+        driven = steer[1 : steps + 1, car]
+        switched = driven[1:] != driven[:-1]
+        drives.append(
+            Drive(
+                start=stations[car].item(),
+                lap_completed=lapped[car],
+                collided=bool(course.collided[steps, car]),
+                progress=progress[car],
+                lap_reward=lap_reward[:steps, car].sum().item(),
+                steering_reward=steering_reward[:steps, car].sum().item(),
+                lap_steps=steps,
+                forward_share=(driven == 0).double().mean().item(),
+                switches_per_100m=100 * switched.sum().item() / (steps * simulator.vehicle.step_length),
+                reversals=int((driven[1:] * driven[:-1] < 0).sum()),
+                near_wall_share=near[:steps, car].double().mean().item(),
+                poses=course.cars.pose[: steps + 1, car].cpu().numpy(),
+                ranges=course.ranges[: steps + 1, car].cpu().numpy(),
+                actions=course.action[1 : steps + 1, car].cpu().numpy(),
+            )
+        )
+    return drives
+
+
+def _steer(control: Tensor, names: Sequence[str]) -> Tensor:
+    """The control `steer` of these [..., C]: [...]; 0 for a car that is not steered."""
+    return control[..., names.index("steer")] if "steer" in names else torch.zeros_like(control[..., 0])

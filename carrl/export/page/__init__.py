@@ -1,0 +1,167 @@
+"""One episode as a web page: a single file that replays it in any browser, without a network.
+
+Shapes: `T` steps, `R` rays, `A` actions, `K` terms of the reward, `S` walls, `N` points of the walls, `P` points of the
+centreline, `G` gates.
+"""
+
+import base64
+import hashlib
+import html
+import json
+import re
+import zlib
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carrl.files import write_whole
+from carrl.log.scene import Floats
+from carrl.log.trace import EpisodeTrace
+from carrl.render.episode_geometry import steps_of
+from carrl.render.wall_lines import connected_walls
+
+PARTS = Path(__file__).parent
+SCRIPTS = (
+    "format.js",
+    "theme.js",
+    "brush.js",
+    "camera.js",
+    "road.js",
+    "episode.js",
+    "car.js",
+    "stage.js",
+    "plot.js",
+    "charts.js",
+    "readings.js",
+    "player.js",
+    "link.js",
+    "controls.js",
+    "page.js",
+)
+"""In the order in which they are joined to one script: each uses only what stands before it."""
+
+
+def replay_page(trace: EpisodeTrace, title: str) -> str:
+    """An HTML document that replays the episode, with everything it needs in it.
+
+    Whatever the log says is shown as text. The page's policy allows no script but its own, and nothing to be loaded.
+
+    Args:
+        trace: what to replay.
+        title: the page's heading.
+    """
+    code = "\n".join(_shortened(_part(name)) for name in SCRIPTS)
+    script = f'\n"use strict";\n(async () => {{\n{code}}})();\n'
+    style = "\n" + _shortened(_part("page.css"))
+    return Template(_part("page.html")).substitute(
+        policy=_policy(script, style),
+        title=html.escape(title).encode("ascii", "xmlcharrefreplace").decode(),
+        style=style,
+        script=script,
+        episode=_json_in_html(_episode(trace)),
+    )
+
+
+def write_replay_page(path: str | Path, trace: EpisodeTrace, title: str) -> None:
+    """Writes the page to `path`, whole or not at all: a reader sees the old page or the new one.
+
+    Raises:
+        CarrlError: it cannot be written there.
+    """
+    write_whole(path, replay_page(trace, title).encode())
+
+
+def _part(name: str) -> str:
+    return (PARTS / name).read_text(encoding="utf-8")
+
+
+def _shortened(code: str) -> str:
+    """The same code without indentation and without the lines that are comments."""
+    return re.sub(r"^ *(//.*\n)?", "", code, flags=re.MULTILINE)
+
+
+def _policy(script: str, style: str) -> str:
+    """A content security policy under which exactly this script and this style work, and no address is ever asked."""
+
+    def source(text: str) -> str:
+        return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+    rules = {
+        "default-src": "'none'",
+        "script-src": source(script),
+        "style-src": source(style),
+        "img-src": "data:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    return "; ".join(f"{directive} {sources}" for directive, sources in rules.items())
+
+
+def _json_in_html(document: dict[str, Any]) -> str:
+    """JSON in which no character can end the element it stands in, or begin another."""
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _episode(trace: EpisodeTrace) -> dict[str, Any]:
+    """What `episode.js` reads: names and single numbers as JSON, the rest as arrays."""
+    scene, track = trace.scene, trace.track
+    lines = connected_walls(track)
+    return {
+        "episode": trace.episode,
+        "car": trace.env,
+        "ended": trace.ended,
+        "startTime": float(trace.times[0]),
+        "timeStep": scene.time_step,
+        "actionNames": scene.action_names,
+        "termNames": scene.reward_terms,
+        "sensorRange": scene.sensor_range,
+        "sensorAngles": scene.sensor_angles.tolist(),
+        "bodyRadius": scene.body_radius,
+        "trackName": track.name,
+        "trackLength": track.length,
+        "bounds": track.bounds,
+        "wallLines": [len(line) for line in lines],
+        "passings": _gate_passings(trace),
+        "arrays": {
+            "wallPoints": _packed(np.concatenate(lines), "<f4"),  # [N, 2]
+            "centreline": _packed(track.centreline, "<f4"),  # [P, 2]
+            "gates": _packed(track.gates, "<f4"),  # [G, 2, 2]
+            "stepNumbers": _packed(steps_of(trace), "<i4"),  # [T + 1]
+            "poses": _packed(trace.poses, "<f4"),  # [T + 1, 3]
+            "ranges": _packed(trace.ranges, "<f4"),  # [T + 1, R]
+            "times": _packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
+            "actions": _packed(trace.actions, "|u1"),  # [T]
+            "exploratory": _packed(trace.exploratory, "|u1"),  # [T]
+            "values": _packed(trace.action_values, "<f4"),  # [T, A]
+            "rewards": _packed(trace.rewards, "<f4"),  # [T]
+            "terms": _packed(trace.reward_terms, "<f4"),  # [T, K]
+            "epsilons": _packed(trace.epsilon, "<f4"),  # [T]
+        },
+    }
+
+
+def _packed(values: ArrayLike, kind: str) -> list[str]:
+    """The kind of the numbers, and their bytes, row by row, deflated, as base64."""
+    return [kind, base64.b64encode(zlib.compress(np.asarray(values).astype(kind).tobytes(), 9)).decode()]
+
+
+def _gate_passings(trace: EpisodeTrace) -> list[list[int]]:
+    """Of each step that passed a gate its row, and the index of the gate, which is the one nearest to the car."""
+    rows = np.diff(trace.gates_passed).nonzero()[0]
+    after = rows + (np.diff(steps_of(trace))[rows] == 1)
+    places = (trace.poses[rows, :2] + trace.poses[after, :2]) / 2
+    gates = _distances(places, trace.track.gates).argmin(axis=1)
+    return [[int(row), int(gate)] for row, gate in zip(rows, gates, strict=True)]
+
+
+def _distances(points: Floats, segments: Floats) -> NDArray[np.float64]:
+    """From each point [M, 2] to each segment [G, 2, 2], [M, G], m."""
+    begins, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    reach = points[:, None] - begins
+    share = (reach * along).sum(axis=-1) / np.maximum((along**2).sum(axis=-1), 1e-12)
+    nearest = begins + share.clip(0, 1)[..., None] * along
+    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=-1))

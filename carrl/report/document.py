@@ -1,0 +1,115 @@
+"""A report for machines: one JSON document, and tables of runs and of groups."""
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+from carrl.evaluation.rollout import Drive
+from carrl.report.comparison import SIGNIFICANCE, Comparison
+from carrl.report.findings import Findings, GroupFigure, lapped
+from carrl.report.groups import Group
+from carrl.report.measures import MEASURES
+from carrl.report.reading import RunResult
+from carrl.report.statistics import CONFIDENCE, RESAMPLES, SEED, Estimate
+from carrl.report.tables import comma_separated
+
+RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")
+
+
+def as_json(findings: Findings, best_lap: Drive | None = None) -> str:
+    """The report as one JSON document; a figure that does not exist is null."""
+    document = {
+        "problems": [problem.as_dict() for problem in findings.problems],
+        "groups": [_group(group, figures) for group, figures in zip(findings.groups, findings.figures, strict=True)],
+        "comparisons": [_comparison(comparison) for comparison in findings.comparisons],
+        "significant": [str(comparison) for comparison in findings.significant],
+        "runs_needed": findings.runs_needed,
+        "runs": [_run(run, findings) for run in findings.runs],
+        "best_lap": None if best_lap is None else best_lap.measures(),
+        "method": {
+            "figure": "interquartile mean",
+            "interval": "percentiles of a bootstrap stratified by group",
+            "confidence": CONFIDENCE,
+            "resamples": RESAMPLES,
+            "test": "exact two-sided Mann-Whitney, Holm's correction for all pairs of a measure",
+            "significance": SIGNIFICANCE,
+            "seed": SEED,
+        },
+    }
+    return json.dumps(document, indent=2, allow_nan=False)
+
+
+def runs_csv(findings: Findings) -> str:
+    """A row for each run, whether it counts or not."""
+    rows = [_run(run, findings) for run in findings.runs]
+    return comma_separated(list(rows[0]), [list(row.values()) for row in rows])
+
+
+def groups_csv(findings: Findings) -> str:
+    """A row for each group, with an interquartile mean, its interval and its count for each measure."""
+    header = ["group", "runs", "lapped"]
+    header += [f"{measure.key}{part}" for measure in MEASURES for part in ("", "_low", "_high", "_runs", "_never")]
+    rows = []
+    for group, figures in zip(findings.groups, findings.figures, strict=True):
+        row: list[object] = [group.label, len(group.counted), lapped(group)]
+        for measure in MEASURES:
+            figure = figures.get(measure.key)
+            row += [None] * 3 + [0, 0] if figure is None else [*_estimate(figure.estimate), figure.runs, figure.never]
+        rows.append(row)
+    return comma_separated(header, rows)
+
+
+def _run(run: RunResult, findings: Findings) -> dict[str, Any]:
+    group = next((each for each in findings.groups if run in each.runs), None)
+    summary = run.summary or {}
+    values = {measure.key: measure.value(run) if run.summary else None for measure in MEASURES}
+    return {
+        "run": run.label,
+        "folder": str(run.folder),
+        "group": group.label if group else None,
+        "seed": run.seed,
+        "state": run.state,
+        "counted": bool(group and run in group.counted),
+        **{name: summary.get(name) for name in RUN_FIGURES},
+        "lapped": bool((summary.get("evaluation") or {}).get("lap_completed")) if run.summary else None,
+        **{key: _number(value) for key, value in values.items()},
+    }
+
+
+def _group(group: Group, figures: dict[str, GroupFigure]) -> dict[str, Any]:
+    measured = {
+        key: _named(figure.estimate) | {"runs": figure.runs, "never": figure.never} for key, figure in figures.items()
+    }
+    return {
+        "group": group.label,
+        "differs": group.differs,
+        "seeds": group.seeds,
+        "lapped": lapped(group),
+        "figures": measured,
+    }
+
+
+def _comparison(comparison: Comparison) -> dict[str, Any]:
+    return {
+        "measure": comparison.measure.key,
+        "better": comparison.first,
+        "than": comparison.second,
+        "runs": list(comparison.runs),
+        "probability_of_improvement": _named(comparison.probability),
+        "p": comparison.p,
+        "corrected_p": comparison.corrected_p,
+        "significant": comparison.significant,
+    }
+
+
+def _named(estimate: Estimate) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in asdict(estimate).items()}
+
+
+def _estimate(estimate: Estimate) -> list[object]:
+    return list(_named(estimate).values())
+
+
+def _number(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,122 @@
+"""Runs that differ in nothing but their seed, and what tells such groups apart."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from carrl.errors import CarrlError
+from carrl.report.choices import Choices, read_choices
+from carrl.report.reading import RunResult
+from carrl.report.runs import in_natural_order
+from carrl.train.files import load_config
+from carrl.train.plan import TrainingPlan
+
+ONLY_GROUP = "all runs"
+"""The name of a group that is the only one."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs with the same configuration but for the seed.
+
+    Attributes:
+        label: what tells it from the other groups: "loss=cql".
+        differs: the same as keys and values; empty if it is the only group.
+        runs: all of them, in the order of their seeds.
+        planned: the seeds that it was to be trained with, as far as its folders tell.
+    """
+
+    label: str
+    differs: dict[str, str]
+    runs: tuple[RunResult, ...]
+    planned: tuple[int, ...] = field(default=(), repr=False)
+
+    @property
+    def counted(self) -> tuple[RunResult, ...]:
+        """The runs that have finished, one for each seed, the first where there are several."""
+        return tuple({run.seed: run for run in reversed(self.runs) if run.counts}.values())[::-1]
+
+    @property
+    def seeds(self) -> list[int]:
+        """Of the runs that count."""
+        return [run.seed for run in self.counted if run.seed is not None]
+
+
+def group_runs(runs: Sequence[RunResult], roots: Sequence[Path] = ()) -> list[Group]:
+    """The groups, in the order in which they were asked for: by root, then by number in the multirun, then by path.
+
+    Runs whose configuration cannot be read are in none.
+    """
+    members: dict[tuple[tuple[str, str], ...], list[tuple[RunResult, Choices]]] = {}
+    for run in runs:
+        if run.config:
+            choices = read_choices(run)
+            members.setdefault(tuple(sorted(choices.values.items())), []).append((run, choices))
+    ordered = sorted(members.values(), key=lambda pairs: min(_place(run, choices, roots) for run, choices in pairs))
+    labels = _differences([pairs[0][1] for pairs in ordered])
+    return [_group(differs, [run for run, _ in pairs]) for differs, pairs in zip(labels, ordered, strict=True)]
+
+
+def _group(differs: dict[str, str], runs: list[RunResult]) -> Group:
+    label = ", ".join(f"{key}={value}" for key, value in differs.items()) or ONLY_GROUP
+    runs = sorted(runs, key=lambda run: (-1 if run.seed is None else run.seed, in_natural_order(run.folder)))
+    return Group(label, differs, tuple(runs), tuple(sorted(_planned_seeds(runs))))
+
+
+def _place(run: RunResult, choices: Choices, roots: Sequence[Path]) -> tuple[int, int, list[tuple[str, int]]]:
+    root = next((index for index, root in enumerate(roots) if run.folder.is_relative_to(root)), len(roots))
+    return root, choices.job, in_natural_order(run.folder)
+
+
+def _planned_seeds(runs: Sequence[RunResult]) -> set[int]:
+    """The seeds that the runs' own configurations name, and those of the folders above, for seeds trained at once."""
+    configs = [run.config for run in runs]
+    for folder in {run.folder.parent for run in runs if run.trained_with_others}:
+        with suppress(CarrlError):
+            configs.append(load_config(folder))
+    seeds: set[int] = set()
+    for config in configs:
+        with suppress(CarrlError, TypeError, AttributeError):  # written by hand; the run itself would have been refused
+            named = (config.get("trainer") or {}).get("seeds")
+            seeds.update(TrainingPlan(1, 1, seeds=named).agent_seeds(config["seed"]))
+    return seeds
+
+
+def _differences(groups: Sequence[Choices]) -> list[dict[str, str]]:
+    """What tells each group from the others: the overrides that were typed, and more where that is not enough."""
+    if len(groups) < 2:
+        return [{} for _ in groups]
+    keys = [key for key in dict.fromkeys(key for each in groups for key in each.typed) if _varies(key, groups)]
+    keys = [key for key in keys if not any(_says_more(other, key, groups) for other in keys)]
+    for key in _from_plain_to_odd(groups):
+        if len(_told_apart(keys, groups)) == len(groups):
+            break
+        if len(_told_apart([*keys, key], groups)) > len(_told_apart(keys, groups)):
+            keys.append(key)
+    return [_shortened({key: each.value_of(key) for key in keys}) for each in groups]
+
+
+def _from_plain_to_odd(groups: Sequence[Choices]) -> list[str]:
+    """All keys of the configurations: first those that every group has, last the names of functions."""
+    keys = {key for each in groups for key in each.values}
+    return sorted(keys, key=lambda key: ("._" in key, not all(key in each.values for each in groups), key))
+
+
+def _varies(key: str, groups: Sequence[Choices]) -> bool:
+    return len({each.value_of(key) for each in groups}) > 1
+
+
+def _told_apart(keys: Sequence[str], groups: Sequence[Choices]) -> set[tuple[str, ...]]:
+    return {tuple(each.value_of(key) for key in keys) for each in groups}
+
+
+def _says_more(key: str, general: str, groups: Sequence[Choices]) -> bool:
+    """Whether a key below `general` tells all that this tells: `track.name_or_path` where `track` is `file`."""
+    both = _told_apart([key, general], groups)
+    return key.startswith(f"{general}.") and len(both) == len(_told_apart([key], groups))
+
+
+def _shortened(differs: dict[str, str]) -> dict[str, str]:
+    """Of paths the last part."""
+    return {key: Path(value).name if value.startswith("/") else value for key, value in differs.items()}

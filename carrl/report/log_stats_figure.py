@@ -1,0 +1,165 @@
+"""The statistics of a log as one picture: returns, lengths, actions, and where on the track cars crashed.
+
+Shapes: `E` episodes, `A` actions, `G` gates.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
+
+from carrl.errors import CarrlError
+from carrl.log.scene import TrackShape
+from carrl.render.action_colours import action_colours
+from carrl.render.curve_panel import RunCurve, common_bounds, draw_panel, legend_of
+from carrl.render.figure import BLUE, FAINT, INK, VERMILLION, YELLOW, new_figure, plain_axes, save_figure
+from carrl.render.terminal_chart import round_step, span
+from carrl.render.wall_lines import connected_walls
+from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct
+
+HEIGHT = 6.6
+"""Of the figure, inches."""
+FEW_EPISODES, MOST_BLOCKS = 20, 100
+"""Episodes per mean of the curve, at least, and means, about."""
+SQUARES, DOTS_PER_SQUARE = 40, 5
+"""Along the longer side of the track, places to count crashes in, about; and dots along such a place, at most."""
+FEW = 5
+"""So many crashes in one place are never drawn as many."""
+MOST_GATE_NUMBERS = 16
+ROAD, WALL = "#ebebeb", "#8a8a8a"
+FEW_TO_MANY = LinearSegmentedColormap.from_list("few to many", [YELLOW, VERMILLION, "#3d0c00"])
+
+
+def draw_log_stats(path: str | Path, stats: LogStats, title: str) -> None:
+    """Writes a PNG of a log's statistics.
+
+    Args:
+        path: where to write it; the folder must exist.
+        stats: of the log.
+        title: one line above the panels.
+
+    Raises:
+        CarrlError: no episode has ended.
+    """
+    if not len(stats):
+        raise CarrlError(f"{NO_EPISODE}; let the run go on until one has")
+    figure = new_figure(HEIGHT)
+    figure.suptitle(title, fontsize=11, color=INK, parse_math=False)
+    panels = figure.subplot_mosaic(
+        [["returns", "returns", "lengths"], ["actions", "map", "map"]], height_ratios=[4, 5], width_ratios=[1, 1, 1]
+    )
+    _draw_returns(panels["returns"], stats)
+    _draw_lengths(panels["lengths"], stats)
+    _draw_actions(panels["actions"], stats)
+    _draw_crashes(figure, panels["map"], stats)
+    save_figure(figure, path)
+
+
+def _title(axes: Axes, title: str) -> None:
+    axes.set_title(title, fontsize=9, color=INK, loc="left", parse_math=False)
+
+
+def _draw_returns(axes: Axes, stats: LogStats) -> None:
+    run = RunCurve(stats.returns.tolist())
+    window = max(FEW_EPISODES, round(round_step(len(stats) / MOST_BLOCKS)))
+    bounds = common_bounds([run], window)
+    draw_panel(axes, run, window, bounds, size=0.6 if len(stats) < 5_000 else 0.25)
+    axes.legend(loc="upper left", **legend_of(window, bounds) | {"fontsize": 7, "handletextpad": 0.3})
+    axes.set_xlabel("episode", fontsize=8, color=INK)
+    _title(axes, "return per episode")
+
+
+def _draw_lengths(axes: Axes, stats: LogStats) -> None:
+    """Stacked by how the episodes ended."""
+    plain_axes(axes)
+    ends = [stats.lengths[stats.collided], stats.lengths[~stats.collided]]
+    edges = np.linspace(*span(float(stats.lengths.min()), float(stats.lengths.max())), 25).tolist()
+    axes.hist(ends, edges, stacked=True, color=[VERMILLION, BLUE], label=["collision", "time limit"])
+    axes.set_ylim(top=1.25 * axes.get_ylim()[1])
+    axes.legend(frameon=False, fontsize=7, handlelength=1, loc="upper right")
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
+    axes.set_xlabel("steps", fontsize=8, color=INK)
+    _title(axes, "length of an episode")
+
+
+def _draw_actions(axes: Axes, stats: LogStats) -> None:
+    plain_axes(axes)
+    shares = stats.action_counts / max(1, stats.action_counts.sum())
+    rows = np.arange(len(shares))
+    axes.barh(rows, shares, color=action_colours(len(shares)), height=0.55)
+    for row, share in zip(rows, shares, strict=True):
+        axes.annotate(
+            f"{100 * share:.0f} %",
+            (share, row),
+            (4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            color=INK,
+        )
+    axes.set_yticks(rows, stats.scene.action_names)
+    axes.invert_yaxis()
+    axes.grid(visible=False)
+    axes.set_xlim(0, 1.25 * max(shares.max(), 1e-9))
+    axes.xaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=3))
+    axes.set_xlabel(f"of {stats.action_counts.sum():,} steps", fontsize=8, color=INK)
+    _title(axes, f"actions, {100 * stats.exploratory_share:.0f} % at random")
+
+
+def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
+    """Dots where cars crashed, coloured by how many did so near there."""
+    _draw_track(axes, stats.track)
+    off = f", {stats.off_the_map:,} off the map" * (stats.off_the_map > 0)
+    _title(axes, f"{len(stats.crashes):,} crashes on {stats.track_note}{off}")
+    if not len(stats.crash_places):
+        return
+    left, bottom, right, top = stats.track.bounds
+    side = round_step(max(right - left, top - bottom) / SQUARES)
+    places = stats.crash_places
+    crowds = crowding(places, side)
+    shown = distinct(places, side / DOTS_PER_SQUARE)
+    shown = shown[np.argsort(crowds[shown])]
+    x, y = places[shown].T
+    dots = axes.scatter(
+        x, y, c=crowds[shown], cmap=FEW_TO_MANY, vmin=0, vmax=max(FEW, crowds.max()), s=9, linewidths=0, zorder=5
+    )
+    bar = figure.colorbar(dots, ax=axes, orientation="horizontal", shrink=0.6, aspect=40, pad=0.02)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=7, colors=FAINT, labelcolor=INK, length=2)
+    bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
+    bar.ax.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    bar.set_label(f"crashes in the same square of {side:g} m", fontsize=7.5, color=INK)
+
+
+def _draw_track(axes: Axes, track: TrackShape) -> None:
+    """The road, its walls, its numbered gates and the start line."""
+    axes.set_axis_off()
+    axes.set_aspect("equal", anchor="S")
+    walls = connected_walls(track)
+    if len(walls) == 2:
+        rings = [Outline(wall, closed=True) for wall in (walls[0], walls[1][::-1])]
+        axes.add_patch(PathPatch(Outline.make_compound_path(*rings), facecolor=ROAD, edgecolor="none", zorder=1))
+    axes.add_collection(LineCollection(list(track.gates), colors="white", linewidths=1.5, zorder=2))
+    axes.add_collection(LineCollection(list(track.gates[-1:]), colors=INK, linewidths=2, zorder=4))
+    axes.add_collection(LineCollection(walls, colors=WALL, linewidths=0.8, zorder=3))
+    every = round(round_step(max(1.0, len(track.gates) / MOST_GATE_NUMBERS)))
+    for gate in [*range(every - 1, len(track.gates) - 1, every), len(track.gates) - 1]:
+        _label_gate(axes, track, gate)
+    axes.margins(0.04)
+
+
+def _label_gate(axes: Axes, track: TrackShape, gate: int) -> None:
+    """Its number beside its left end; the last gate is the start."""
+    left, right = track.gates[gate]
+    outwards = 9 * (left - right) / max(1e-9, float(np.linalg.norm(left - right)))
+    name = "start" if gate == len(track.gates) - 1 else str(gate + 1)
+    axes.annotate(name, left, outwards, textcoords="offset points", ha="center", va="center", fontsize=7, color=FAINT)

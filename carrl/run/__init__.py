@@ -1,1 +1,0 @@
-"""Training, evaluation and reports: where the parts are built and set in motion."""

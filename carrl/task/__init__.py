@@ -1,0 +1,1 @@
+"""What an episode is: actions, observations, rewards, starts and ends."""

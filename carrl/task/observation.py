@@ -1,0 +1,108 @@
+"""What the driver is told, composed of terms: what its sensors read, what it did last.
+
+Shapes: `N` cars, `R` rays, `O` values of an observation.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from carrl.errors import ConfigError
+from carrl.sim.sensor import Sensor
+from carrl.task.action import ActionMap
+from carrl.task.episode import Moment
+
+
+class Part(NamedTuple):
+    """Where a term stands in an observation.
+
+    Attributes:
+        name: of the term.
+        width: how many values.
+        low: the least value.
+        high: the largest value.
+    """
+
+    name: str
+    width: int
+    low: float
+    high: float
+
+
+class ObservationTerm(Protocol):
+    """A pure function of a moment, but for what it draws from the moment's own random numbers."""
+
+    def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
+        """How many values it has and how large they may be; `name` is what the configuration calls it."""
+
+    def __call__(self, moment: Moment) -> Tensor:
+        """The values, [N, width], float32."""
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Distance along each ray / the sensor's range, in 0..1, right to left, as the sensor reads it."""
+
+    def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
+        """One value a ray."""
+        return Part(name, sensor.rays, 0.0, 1.0)
+
+    def __call__(self, moment: Moment) -> Tensor:
+        """With the sensor's noise and dropout, drawn from the cars' own streams; an exact one draws nothing."""
+        sensor, ranges, streams, wanted = moment.simulator.sensor, moment.ranges, moment.streams, moment.wanted
+        if sensor.is_exact:
+            return ranges / sensor.max_range
+        draws = streams.normal(sensor.rays, wanted=wanted), streams.uniform(sensor.rays, wanted=wanted)
+        errors, chances = (draw if wanted is None else draw[wanted] for draw in draws)
+        return sensor.err(ranges, errors.to(ranges), chances.to(ranges)) / sensor.max_range
+
+
+@dataclass(frozen=True)
+class LastAction:
+    """The action of the step before: one-hot, or if it is continuous its controls."""
+
+    def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
+        """As many values as the action map encodes."""
+        return Part(name, action.features, 0.0 if action.first.dtype == torch.int64 else -1.0, 1.0)
+
+    def __call__(self, moment: Moment) -> Tensor:
+        """As the action map encodes it."""
+        return moment.action.encode(moment.state.last_action)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Terms side by side in their order.
+
+    Attributes:
+        terms: by name, at least one.
+    """
+
+    terms: Mapping[str, ObservationTerm]
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError where there is nothing to see."""
+        if not self.terms:
+            raise ConfigError("observation has no terms; name at least one, such as rays")
+
+    def parts(self, sensor: Sensor, action: ActionMap) -> tuple[Part, ...]:
+        """Where each term stands."""
+        return tuple(term.part(name, sensor, action) for name, term in self.terms.items())
+
+    def __call__(self, moment: Moment) -> Tensor:
+        """The observations, [N, O], float32."""
+        values = [term(moment) for term in self.terms.values()]
+        return values[0] if len(values) == 1 else torch.cat(values, dim=-1)
+
+
+def rays_only() -> Observation:
+    """The paper's."""
+    return Observation({"rays": Rays()})
+
+
+def rays_and_last_action() -> Observation:
+    """For a driver that is to steer smoothly."""
+    return Observation({"rays": Rays(), "last_action": LastAction()})

@@ -1,0 +1,210 @@
+"""The driving task in plain tensors: where an episode starts, what is seen, what a step earns, when the episode ends.
+
+Every environment is a thin cover over it, and so is every evaluation.
+
+Shapes: `N` cars driven side by side, `K` of them, `O` values of an observation.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torchrl.data import Categorical
+
+from carrl.errors import ConfigError, shown
+from carrl.rows import Rows
+from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import CarState, Outcome, Simulator
+from carrl.sim.vehicle import Vehicle, VehicleModel
+from carrl.task.action import ActionMap, check_fits, steer3
+from carrl.task.checks import instance, whole_number
+from carrl.task.episode import EpisodeState, Moment, StepContext
+from carrl.task.observation import Observation, Part, rays_only
+from carrl.task.random_streams import RandomStreams
+from carrl.task.reward import Reward, paper_reward
+from carrl.task.start import Start, StartSampler
+from carrl.tracks.track import Track
+
+Tracks = Track | str | Path | Sequence[Track | str | Path]
+
+MOST_CARS = 2**20
+MOST_READINGS = 2**26
+"""Of all cars together at one moment: 256 MiB."""
+UNLIMITED = 2**62
+"""As `max_steps`: episodes are not truncated."""
+
+
+@dataclass(frozen=True)
+class Begun(Rows):
+    """Episodes at their start.
+
+    Attributes:
+        state: of the episodes.
+        observation: what the driver is told, [N, O], float32.
+    """
+
+    state: EpisodeState
+    observation: Tensor
+
+
+@dataclass(frozen=True)
+class StepResult(Rows):
+    """What one step brought.
+
+    Attributes:
+        state: of the episodes after the step.
+        observation: what the driver is told then, [N, O], float32.
+        reward_terms: see `Reward`, [N, K], float32; the reward is their sum.
+        terminated: the car touched a wall, [N], bool.
+        truncated: the episode reached its last step without that, [N], bool.
+        outcome: of the simulator.
+    """
+
+    state: EpisodeState
+    observation: Tensor
+    reward_terms: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    outcome: Outcome
+
+
+class Task:
+    """Episodes of any number of cars. It holds nothing of them but the random generators.
+
+    Args:
+        simulator: what moves the cars; its tracks are `start.variants` of those to drive on.
+        cars: how many, N; so many for each seed.
+        seeds: of the random generators; see `RandomStreams`.
+        action: what an agent chooses among.
+        observation: what it is told.
+        reward: what a step earns.
+        start: where episodes start.
+        max_steps: length at which an episode is truncated, steps.
+
+    Raises:
+        ConfigError: a parameter is out of its range, or the action map does not fit the vehicle.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        cars: int,
+        seeds: Sequence[int | None] = (None,),
+        *,
+        action: ActionMap | None = None,
+        observation: Observation | None = None,
+        reward: Reward | None = None,
+        start: Start | None = None,
+        max_steps: int = UNLIMITED,
+    ) -> None:
+        """Seeds the generators."""
+        cars = whole_number("env.num_envs", cars, 1, MOST_CARS)
+        self.simulator, self.max_steps = simulator, whole_number("env.max_steps", max_steps, 1, 2**63 - 1)
+        self.action, self.observation = action or steer3(), observation or rays_only()
+        self.reward = reward or paper_reward()
+        check_fits(self.action, simulator.vehicle)
+        self.cars = cars * len(seeds)
+        readings = self.cars * simulator.sensor.rays
+        if readings > MOST_READINGS:
+            raise ConfigError(f"env.num_envs is {cars}; it must be so few that {readings} rays become {MOST_READINGS}")
+        self.streams = RandomStreams(seeds, cars)
+        self._sampler = StartSampler(start or Start(), simulator, cars, len(seeds))
+
+    @property
+    def observation_parts(self) -> tuple[Part, ...]:
+        """Where each term stands in an observation."""
+        return self.observation.parts(self.simulator.sensor, self.action)
+
+    @property
+    def starts_alike(self) -> bool:
+        """Whether every episode of a car starts in the same way."""
+        return self._sampler.is_always_the_same and self.simulator.sensor.is_exact
+
+    def start(self, wanted: Tensor | None = None) -> Begun:
+        """New episodes of the `wanted` cars, [N] bool with K of them true; of all by default.
+
+        Returns:
+            Those alone, K instead of N.
+        """
+        wanted = torch.ones(self.cars, dtype=torch.bool) if wanted is None else wanted.cpu()
+        return self.start_at(self._sampler(self.streams, wanted), wanted)
+
+    def start_at(self, cars: CarState, wanted: Tensor | None = None) -> Begun:
+        """New episodes of cars that are here, [K], which are the `wanted` ones of all [N]; of all by default."""
+        first = self.action.first.to(self.simulator.device)
+        step = torch.zeros_like(cars.next_gate)
+        state = EpisodeState(cars, step, first.expand(len(step), *first.shape).clone())
+        return Begun(state, self._observe(state, self.simulator.sense(cars), wanted))
+
+    def step(self, state: EpisodeState, action: Tensor) -> StepResult:
+        """Drives every car by one time step: actions [N] or [N, C], within the action map's spec.
+
+        The reward counts true distances, whatever the sensor reads.
+        """
+        outcome = self.simulator.step(state.cars, self.action.controls(action))
+        terms = self.reward(StepContext(state, action, outcome, self.simulator, self.action))
+        after = EpisodeState(outcome.cars, state.step + 1, action)
+        truncated = (after.step >= self.max_steps) & ~outcome.collided
+        observation = self._observe(after, outcome.ranges)
+        return StepResult(after, observation, terms, outcome.collided, truncated, outcome)
+
+    def random_action(self) -> Tensor:
+        """An action for every car, drawn evenly from the cars' own streams."""
+        spec = self.action.spec
+        if isinstance(spec, Categorical):
+            return self.streams.integers(spec.n).to(self.simulator.device)
+        drawn = self.streams.uniform(*spec.shape).to(self.simulator.device)
+        return (spec.low + (spec.high - spec.low) * drawn).float()
+
+    def _observe(self, state: EpisodeState, ranges: Tensor, wanted: Tensor | None = None) -> Tensor:
+        return self.observation(Moment(state, ranges, self.simulator, self.action, self.streams, wanted))
+
+
+def make_task(
+    track: Tracks = "paper",
+    num_envs: int = 1,
+    seeds: Sequence[int | None] = (None,),
+    device: torch.device | str = "cpu",
+    *,
+    vehicle: VehicleModel | None = None,
+    sensor: Sensor | None = None,
+    action: ActionMap | None = None,
+    observation: Observation | None = None,
+    reward: Reward | None = None,
+    start: Start | None = None,
+    max_steps: int = 1000,
+) -> Task:
+    """A task with a simulator of its own; the arguments are those of `TrackEnv`.
+
+    Raises:
+        TrackError: a track cannot be loaded.
+        ConfigError: a parameter is of another type or out of its range.
+    """
+    num_envs = whole_number("env.num_envs", num_envs, 1, MOST_CARS)
+    start = instance("start", start, Start) or Start()
+    vehicle = instance("vehicle", vehicle, VehicleModel) or Vehicle()  # type: ignore[type-abstract]
+    sensor = instance("sensor", sensor, Sensor) or Sensor()
+    tracks = start.variants([each if isinstance(each, Track) else Track.load(each) for each in _listed(track)])
+    return Task(
+        Simulator(tracks, vehicle, sensor, device),
+        num_envs,
+        seeds,
+        action=action,
+        observation=instance("observation", observation, Observation),
+        reward=instance("reward", reward, Reward),
+        start=start,
+        max_steps=max_steps,
+    )
+
+
+def _listed(track: Tracks) -> Sequence[Track | str | Path]:
+    """One track or several as a list, whose items alone are checked."""
+    listed = [track] if isinstance(track, Track | str | Path) or not isinstance(track, Iterable) else list(track)
+    for each in listed:
+        if not isinstance(each, Track | str | Path):
+            raise ConfigError(
+                f"track is {shown(each)}; it must be a Track, a built-in track's name or a file, or a list"
+            )
+    return listed

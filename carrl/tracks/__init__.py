@@ -1,0 +1,1 @@
+"""Tracks: geometry, files, generators, inspection."""

@@ -1,0 +1,162 @@
+"""The circuits that a policy is trained on, and those on which training tries out how well it drives."""
+
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+from carrl.errors import TrackError
+from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
+from carrl.tracks.track import Track
+
+_logger = logging.getLogger(__name__)
+
+CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
+"""Endings of the files of a folder that are taken for circuits."""
+MOST_CIRCUITS = 512
+"""Of a run; each one is attached to the run's log, with about 75 bytes for every metre of its road."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circuits:
+    """One track, or many.
+
+    Attributes:
+        training: where the policy learns to drive.
+        validation: where it is tried out without exploration, to choose the best network; not among `training`, unless
+            there is one track for both.
+    """
+
+    training: tuple[Track, ...]
+    validation: tuple[Track, ...]
+
+    @staticmethod
+    def only(track: Track) -> "Circuits":
+        """One track to learn and to be tried out on."""
+        return Circuits((track,), (track,))
+
+    @property
+    def all(self) -> tuple[Track, ...]:
+        """Each of them once."""
+        return tuple(dict.fromkeys((*self.training, *self.validation)))
+
+    @property
+    def name(self) -> str:
+        """The one track's name, or how many there are."""
+        return self.training[0].name if len(self.training) == 1 else f"{len(self.training)} circuits"
+
+
+def make_circuits(
+    count: int,
+    validation: int,
+    seed: int = 0,
+    corner_radius: float | Sequence[float] = CORNER_RADIUS,
+    width: float | Sequence[float] = WIDTH,
+    length: float | Sequence[float] = LENGTH,
+    gate_spacing: float | None = None,
+    widening: float = 0.0,
+    corner_spacing: float | Sequence[float] = CORNER_SPACING,
+    hairpins: float = 0.0,
+    folder: str | None = None,
+) -> Circuits:
+    """Random circuits to learn on, with the circuits of a folder if one is named, and other random ones for trials.
+
+    Args:
+        count: how many random circuits to learn on.
+        validation: how many to be tried out on; from the seeds that follow those of the first ones.
+        seed: of the first random circuit; the next one is drawn from the next seed, and so on.
+        corner_radius: see `Track.random`, as for all that follow but `folder`.
+        width: from wall to wall, m.
+        length: of the centreline, m.
+        gate_spacing: about how far the gates stand apart, m, also in the folder's circuits.
+        widening: how much wider either half of a random road may be in places, as a share.
+        corner_spacing: about how far corners stand apart, in least radii.
+        hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
+        folder: whose circuits, and those of folders below it, to learn on, too; None for none. Files in it that
+            cannot be read are left out, with a warning for each.
+
+    Raises:
+        TrackError: there is no circuit to learn on or for trials, there are too many, or one cannot be drawn or read.
+    """
+    if count < 0 or validation < 1 or count + validation > MOST_CIRCUITS:
+        raise TrackError(
+            f"track.count is {count} and track.validation is {validation}; they must be at least 0 and 1, "
+            f"together at most {MOST_CIRCUITS}"
+        )
+    drawn = [
+        Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing, hairpins)
+        for each in range(seed, seed + count + validation)
+    ]
+    named = [] if folder is None else _load_or_warn(Path(folder), gate_spacing)
+    training = (*drawn[:count], *named)
+    if not training:
+        raise TrackError("track.count is 0 and track.folder names no folder; give at least one circuit to learn on")
+    return Circuits(training, tuple(drawn[count:]))
+
+
+def _load_or_warn(folder: Path, gate_spacing: float | None) -> list[Track]:
+    tracks, refused = load_folder(folder, gate_spacing)
+    for path, reason in refused.items():
+        _logger.warning("left out '%s': %s", path, reason)
+    return tracks
+
+
+class Folder(NamedTuple):
+    """What a folder holds.
+
+    Attributes:
+        tracks: its circuits, those in folders below it named by their path from there.
+        refused: of each file that is none, its path and the sentence that says why.
+    """
+
+    tracks: list[Track]
+    refused: dict[Path, str]
+
+
+def load_folder(folder: Path, gate_spacing: float | None = None) -> Folder:
+    """Loads all circuits of a folder and of those below it, and tells which files could not be read.
+
+    Raises:
+        TrackError: none of them could be read, there are too many, or there is no such folder.
+    """
+    tracks, refused = [], {}
+    for path in circuit_files(folder):
+        try:
+            track = Track.load(path, gate_spacing)
+        except TrackError as error:
+            refused[path] = str(error)
+        else:
+            tracks.append(replace(track, name=path.relative_to(folder).as_posix()))
+    if not tracks:
+        reasons = "; ".join(refused.values())
+        raise TrackError(f"folder '{folder}' has no file that can be read as a track: {reasons}")
+    return Folder(tracks, refused)
+
+
+def circuit_files(folder: Path) -> list[Path]:
+    """The files of a folder, and of those below it that are not hidden, that are taken for circuits, in order.
+
+    Raises:
+        TrackError: there is none, too many, or no such folder.
+    """
+    found = sorted(islice(_files_below(folder), MOST_CIRCUITS + 1))
+    if not 0 < len(found) <= MOST_CIRCUITS:
+        count = f"more than {MOST_CIRCUITS}" if found else "0"
+        raise TrackError(
+            f"folder '{folder}' has {count} files that end in {', '.join(CIRCUIT_FILES)}; "
+            f"it must have at least one and at most {MOST_CIRCUITS}"
+        )
+    return found
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    def refuse(error: OSError) -> None:
+        raise TrackError(f"folder '{error.filename}' cannot be read: {error.strerror}; name a folder of circuits")
+
+    for path, folders, names in os.walk(folder, onerror=refuse):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        files = (Path(path, name) for name in names if not name.startswith("."))
+        yield from (file for file in files if file.suffix.lower() in CIRCUIT_FILES and file.is_file())

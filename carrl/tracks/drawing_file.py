@@ -1,0 +1,184 @@
+"""YAML files of a track drawn by hand; docs/tracks.md describes them.
+
+Shapes: `N` corners or points in the file, `P` points of the centreline.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from shapely import LinearRing, Polygon
+
+from carrl.errors import TrackError, shown
+from carrl.plain_yaml import parse_yaml
+from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, repeated_point, without_repeats
+from carrl.tracks.drawing import rounded_polygon, smooth_curve
+from carrl.tracks.file_content import read_content
+
+MAX_YAML_BYTES = 2**18
+"""About 10,000 points."""
+MAX_LENGTH = 1e5
+"""Of the closed line through the corners or points, m."""
+MAX_CORNERS = 1000
+POINT_SPACING = 2.0
+"""How far the centreline's points stand apart at the most, m; tighter on smaller roads."""
+MIN_GATES, MIN_GATE_SPACING = 3, 1.0
+CORNER_KEYS = ("corners", "corner_radius", "width", "gates", "gate_spacing")
+POINT_KEYS = ("points", "width", "smooth", "gates", "gate_spacing")
+
+
+@dataclass(frozen=True)
+class DrawingFile:
+    """What a YAML file draws.
+
+    Attributes:
+        centreline: of the road.
+        gates: how many, or None.
+        gate_spacing: about how far they stand apart, m, or None.
+    """
+
+    centreline: Centreline
+    gates: int | None
+    gate_spacing: float | None
+
+
+def read_drawing(path: Path) -> DrawingFile:
+    """Reads a track given by `corners`, `corner_radius` and `width`, or by `points`.
+
+    Raises:
+        TrackError: the file is no such drawing.
+    """
+    return _Reader(path, _read_mapping(path)).drawing()
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Takes checked values from a file's mapping; every error begins with the file's name."""
+
+    path: Path
+    values: dict[str, Any]
+
+    def drawing(self) -> DrawingFile:
+        """What the file draws."""
+        forms = [key for key in ("corners", "points") if key in self.values]
+        if not forms and {"image", "resolution"} <= self.values.keys():
+            raise self._error(
+                "this is a map of ROS, a picture without a centreline; CarRL reads .csv, .npy and drawings"
+            )
+        if len(forms) != 1:
+            raise self._error(f"it has {' and '.join(forms) or 'neither'}; it must have one of corners and points")
+        keys = CORNER_KEYS if forms == ["corners"] else POINT_KEYS
+        unknown = [str(key)[:40] for key in self.values if key not in keys]
+        if unknown:
+            raise self._error(f"unknown key {', '.join(unknown)}; with {forms[0]} the keys are {', '.join(keys)}")
+        if "gates" in self.values and "gate_spacing" in self.values:
+            raise self._error("it has gates and gate_spacing; give one of the two")
+        centreline = self._polygon() if forms == ["corners"] else self._line()
+        if repeated_point(centreline.points) is not None:
+            raise self._error(f"the road is too small to be drawn, or turns back on itself; enlarge its {forms[0]}")
+        spacing = self._number("gate_spacing", least=MIN_GATE_SPACING) if "gate_spacing" in self.values else None
+        return DrawingFile(centreline, self._gates(LinearRing(centreline.points).length), spacing)
+
+    def _polygon(self) -> Centreline:
+        corners, repeats = self._table("corners", (2,), "[x, y]")
+        if len(corners) > MAX_CORNERS:
+            raise self._error(f"{len(corners)} corners; it may have at most {MAX_CORNERS}, so use points")
+        radius, width = self._number("corner_radius"), self._number("width")
+        if not Polygon(corners).is_valid:
+            raise self._error("the corners' outline crosses itself; list them in driving order, or use points")
+        points = rounded_polygon(corners, radius, self._spacing(corners, radius))
+        if points is None:
+            raise self._error(
+                f"corner_radius is {radius:g} m, and the road between the corners has no room for it; make it smaller"
+            )
+        return Centreline(points, *_half_widths(np.full(len(points), width)), repeats)
+
+    def _line(self) -> Centreline:
+        smooth = self.values.get("smooth", True)
+        if not isinstance(smooth, bool):
+            raise self._error(f"smooth is {shown(smooth)}; it must be true or false")
+        if "width" in self.values:
+            table, repeats = self._table("points", (2,), "[x, y], since width is given")
+            table = np.column_stack([table, np.full(len(table), self._number("width"))])
+        else:
+            table, repeats = self._table("points", (3,), "[x, y, width], or width must be given beside them")
+            bad = np.flatnonzero(table[:, 2] <= 0)
+            if len(bad) > 0:
+                raise self._error(f"points: row {bad[0] + 1}: width is {table[bad[0], 2]:g} m; widths must be positive")
+        spacing = self._spacing(table[:, :2], float(table[:, 2].min()))
+        if smooth:
+            widths = table[:, 2]
+            table = smooth_curve(table, spacing)
+            table[:, 2] = table[:, 2].clip(widths.min(), widths.max())  # The curve through the widths may overshoot.
+        return Centreline(table[:, :2], *_half_widths(table[:, 2]), repeats)
+
+    def _spacing(self, points: np.ndarray, detail: float) -> float:
+        """Distance between the centreline's points that shows details of this size, m."""
+        spacing = min(POINT_SPACING, detail / 3)
+        length = LinearRing(points).length
+        if length > min(MAX_LENGTH, MAX_LENGTH * spacing):
+            raise self._error(
+                f"the track is {length:,.0f} m long; at this width and radius it may have at most "
+                f"{min(MAX_LENGTH, MAX_LENGTH * spacing):,.0f} m"
+            )
+        return max(spacing, 2 * MIN_STEP)
+
+    def _table(self, key: str, columns: tuple[int, ...], form: str) -> tuple[np.ndarray, int]:
+        """The rows of a list without those that repeat a point, and how many these were."""
+        rows = self.values[key]
+        if not isinstance(rows, list):
+            raise self._error(f"{key} is {shown(rows)}; it must be a list with a row {form} for each")
+        for number, row in enumerate(rows, start=1):
+            if not isinstance(row, list) or len(row) not in columns:
+                raise self._error(f"{key}: row {number} is {shown(row)}; it must be {form}")
+            for name, value in zip(("x", "y", "width"), row, strict=False):
+                self._check_number(f"{key}: row {number}: {name}", value)
+        table, repeats = without_repeats(np.array(rows, dtype=np.float64))
+        if len(table) < MIN_POINTS:
+            raise self._error(f"{len(table)} {key}; a closed road needs at least {MIN_POINTS}")
+        return table, repeats
+
+    def _number(self, key: str, least: float = MIN_STEP) -> float:
+        if key not in self.values:
+            raise self._error(f"the key {key} is missing")
+        value = self.values[key]
+        self._check_number(key, value)
+        if value < least:
+            raise self._error(f"{key} is {value:g} m; it must be at least {least:g} m")
+        return float(value)
+
+    def _check_number(self, name: str, value: Any) -> None:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not abs(value) <= MAX_COORDINATE:  # nan fails it, too
+            raise self._error(
+                f"{name} is {shown(value)}; it must be a number of metres of at most {MAX_COORDINATE:.0f}"
+            )
+
+    def _gates(self, length: float) -> int | None:
+        gates, most = self.values.get("gates"), max(MIN_GATES, int(length / MIN_GATE_SPACING))
+        if "gates" not in self.values:
+            return None
+        if isinstance(gates, bool) or not isinstance(gates, int) or not MIN_GATES <= gates <= most:
+            raise self._error(f"gates is {shown(gates)}; it must be a whole number from {MIN_GATES} to {most}")
+        return gates
+
+    def _error(self, what: str) -> TrackError:
+        return TrackError(f"track '{self.path.name}': {what}")
+
+
+def _read_mapping(path: Path) -> dict[str, Any]:
+    name = f"track '{path.name}'"
+    try:
+        values = parse_yaml(read_content(path, MAX_YAML_BYTES))
+    except ValueError as error:
+        raise TrackError(f"{name}: {error}") from None
+    if values is None:
+        raise TrackError(f"{name}: the file is empty; it must have one of corners and points")
+    if not isinstance(values, dict):
+        raise TrackError(f"{name}: this is {shown(values)}; it must be keys with values, such as 'width: 8'")
+    return values
+
+
+def _half_widths(widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return widths / 2, widths / 2

@@ -1,0 +1,316 @@
+"""A track: a closed road between two walls, with directed gates across it.
+
+Shapes: `P` points of the centreline, `S` walls, `G` gates, `B` cars. Lengths are in metres, angles in radians
+counter-clockwise from +x. A *station* is a distance along the centreline from the start line, in driving order.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from carrl.errors import TrackError
+from carrl.tracks import builtin
+from carrl.tracks.bridges import Bridge, check_road, find_bridges
+from carrl.tracks.centreline import Centreline, gap_of
+from carrl.tracks.csv_file import read_csv
+from carrl.tracks.drawing_file import MIN_GATE_SPACING, read_drawing
+from carrl.tracks.folds import cut_folds
+from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
+from carrl.tracks.routes import Routes
+from carrl.tracks.waypoint_file import read_waypoints
+
+DEFAULT_GATE_SPACING = 30.0
+"""Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A closed circuit.
+
+    Where a bend is tighter than the road is wide, points of the inner wall may coincide; such walls without length are
+    in `left_wall` and `right_wall` only, not in `walls`.
+
+    Attributes:
+        name: a built-in track's name, or the name of the file it came from.
+        centreline: [P, 2], float32, m, in driving order; the last point joins the first. Point 0 is the start.
+        left_wall: the left wall at each centreline point, [P, 2], float32, m.
+        right_wall: the right wall at each centreline point, [P, 2], float32, m.
+        gate_count: how many gates, evenly spaced; the last one is the start line, so passing it completes a lap.
+        bridges: where the road crosses itself.
+        repeats: how many points of its file were left out, since they repeated the one before.
+    """
+
+    name: str
+    centreline: Tensor
+    left_wall: Tensor
+    right_wall: Tensor
+    gate_count: int
+    bridges: tuple[Bridge, ...] = ()
+    repeats: int = 0
+
+    def __repr__(self) -> str:
+        """One line instead of all its walls."""
+        return f"Track({self.name!r}, {self.length:.1f} m, {self.gate_count} gates)"
+
+    @staticmethod
+    def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
+        """Loads a built-in track by name, or a file by path.
+
+        Args:
+            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
+                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. Any other: CSV with the
+                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
+            gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
+                drawing has, and else `DEFAULT_GATE_SPACING`.
+
+        Raises:
+            TrackError: there is no such track, or the file does not describe one.
+        """
+        name = str(name_or_path)
+        _check_gate_spacing(name, gate_spacing)
+        if name in builtin.DRAWINGS:
+            drawing = builtin.DRAWINGS[name]
+            return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)
+        path = Path(name_or_path)
+        if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
+            raise TrackError(
+                f"track '{name}': no file of this path and no built-in track of this name; "
+                f"the built-in ones are {', '.join(builtin_names())}"
+            )
+        ending = path.suffix.lower()
+        if ending == ".npy":
+            road = read_waypoints(path)
+            track = Track.from_walls(
+                path.name, road.centre, road.left, road.right, gate_spacing or DEFAULT_GATE_SPACING
+            )
+            return replace(track, repeats=road.repeats)
+        if ending in (".yaml", ".yml"):
+            file = read_drawing(path)
+            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, file.gate_spacing)
+        return Track.from_centreline(path.name, read_csv(path), gate_spacing or DEFAULT_GATE_SPACING)
+
+    @staticmethod
+    def random(
+        seed: int,
+        corner_radius: float | Sequence[float] = CORNER_RADIUS,
+        width: float | Sequence[float] = WIDTH,
+        length: float | Sequence[float] = LENGTH,
+        gate_spacing: float | None = None,
+        widening: float = 0.0,
+        corner_spacing: float | Sequence[float] = CORNER_SPACING,
+        hairpins: float = 0.0,
+    ) -> "Track":
+        """A circuit with straights, hairpins and bends to both sides; the same seed and ranges draw the same one.
+
+        Args:
+            seed: any whole number from 0 on.
+            corner_radius: least radius of the centreline, m: a number, or a range (low, high) from which to draw.
+            width: from wall to wall, m: a number or a range.
+            length: of the centreline, m: a number or a range.
+            gate_spacing: about how far the gates stand apart, m; by default `DEFAULT_GATE_SPACING`.
+            widening: how much wider either half of the road may be in places, as a share; 0 for a road of one width.
+            corner_spacing: about how far corners stand apart, in least radii of the centreline: a number or a range.
+            hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
+
+        Raises:
+            TrackError: a value is no such number or range, or no circuit has these measures.
+        """
+        from carrl.tracks.inspection import inspect_track  # Here, since it inspects what is defined here.
+
+        name = f"random-{seed}"
+        _check_gate_spacing(name, gate_spacing)
+        for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing, hairpins):
+            track = Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING)
+            if not inspect_track(track, body_radius=0.0).faults:
+                return track
+        raise TrackError(
+            f"track '{name}': no circuit of these measures was found in {MOST_DRAWS} draws; make it longer"
+        )
+
+    @staticmethod
+    def _from_drawing(
+        name: str,
+        centreline: Centreline,
+        wished_spacing: float | None,
+        gate_count: int | None,
+        gate_spacing: float | None = None,
+    ) -> "Track":
+        """A track with the gates as wished, or else as drawn."""
+        if wished_spacing is not None:
+            return Track.from_centreline(name, centreline, wished_spacing)
+        return Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING, gate_count)
+
+    @staticmethod
+    def from_centreline(
+        name: str, centreline: Centreline, gate_spacing: float = DEFAULT_GATE_SPACING, gate_count: int | None = None
+    ) -> "Track":
+        """Builds the walls by offsetting the centreline, and the gates by `gate_count` or else by `gate_spacing` m.
+
+        Raises:
+            TrackError: the centreline crosses itself where no bridge can be made of it.
+        """
+        track = Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
+        return replace(track, repeats=centreline.repeats)
+
+    @staticmethod
+    def from_walls(
+        name: str,
+        centreline: np.ndarray,
+        left_wall: np.ndarray,
+        right_wall: np.ndarray,
+        gate_spacing: float = DEFAULT_GATE_SPACING,
+        gate_count: int | None = None,
+    ) -> "Track":
+        """Builds a track from a centreline and the walls beside its points, [P, 2] each, m; cuts folds of the walls.
+
+        Raises:
+            TrackError: the centreline crosses itself where no bridge can be made of it.
+        """
+        try:
+            check_road(centreline)
+            left, right = cut_folds(left_wall, centreline), cut_folds(right_wall, centreline)
+            bridges = find_bridges(name, centreline, left, right)
+        except TrackError as error:
+            gap = gap_of(centreline, leads_astray=True)
+            if gap is None:
+                raise
+            raise TrackError(f"track '{name}': {gap}") from error
+        return Track(
+            name=name,
+            centreline=_as_tensor(centreline),
+            left_wall=_as_tensor(left),
+            right_wall=_as_tensor(right),
+            gate_count=gate_count or max(3, round(_ring_length(centreline) / gate_spacing)),
+            bridges=bridges,
+        )
+
+    def mirrored(self) -> "Track":
+        """Its mirror image, y to -y: what was a turn to the left is one to the right, in the same order."""
+        flip = torch.tensor([1.0, -1.0])
+        return replace(
+            self,
+            name=f"{self.name}-mirrored",
+            centreline=self.centreline * flip,
+            left_wall=self.right_wall * flip,
+            right_wall=self.left_wall * flip,
+        )
+
+    def reversed(self) -> "Track":
+        """The same road driven the other way, from the same start line through the same gates."""
+
+        def turn_back(points: Tensor) -> Tensor:
+            return points.flip(0).roll(1, 0)  # point 0 stays the first
+
+        return replace(
+            self,
+            name=f"{self.name}-reversed",
+            centreline=turn_back(self.centreline),
+            left_wall=turn_back(self.right_wall),
+            right_wall=turn_back(self.left_wall),
+            bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
+        )
+
+    @cached_property
+    def walls(self) -> Tensor:
+        """Every wall as a pair of end points, left walls first, [S, 2, 2], float32, m; none without length."""
+        return self._wall_segments[self._has_length]
+
+    @cached_property
+    def wall_stations(self) -> Tensor:
+        """Station of the middle of the centreline's segment that each of `walls` stands beside, [S], float64, m."""
+        return self._route.segment_middles.repeat(2)[self._has_length]
+
+    @cached_property
+    def gates(self) -> Tensor:
+        """The gates in driving order as (left end, right end), [G, 2, 2], float32, m."""
+        return self._route.walls(self._only(self.gate_stations), self.gate_stations).float()
+
+    @cached_property
+    def gate_stations(self) -> Tensor:
+        """Where the gates stand along the centreline, increasing, the last at `length`, [G], float64, m."""
+        return self._route.gates_of(0)
+
+    @cached_property
+    def length(self) -> float:
+        """Length of the centreline, m."""
+        return self._route.lengths[0].item()
+
+    def pose_at(self, stations: Tensor) -> Tensor:
+        """Poses on the centreline, in the driving direction: stations [B], m, to [B, 3], float32, m, m, rad."""
+        return self._route.poses(self._only(stations), stations)
+
+    def room_at(self, stations: Tensor) -> Tensor:
+        """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
+        return self._route.room(self._only(stations), stations)
+
+    def next_gate(self, stations: Tensor) -> Tensor:
+        """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
+        return self._route.next_gate(self._only(stations), stations)
+
+    def station_near(self, position: Tensor, low: Tensor, high: Tensor) -> Tensor:
+        """The nearest station to each position [B, 2], m, between two others: see `Routes.nearest_stations`."""
+        return self._route.nearest_stations(self._only(low), position, low, high)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The geometry as plain values in metres, ready for JSON."""
+        return {
+            "name": self.name,
+            "length": self.length,
+            "centreline": _in_few_digits(self.centreline),
+            "walls": _in_few_digits(self.walls),
+            "gates": _in_few_digits(self.gates),
+        }
+
+    @cached_property
+    def _wall_segments(self) -> Tensor:
+        """The walls of every segment of the centreline, [2P, 2, 2], float32, m."""
+        sides = (self.left_wall, self.right_wall)
+        return torch.cat([torch.stack([side, side.roll(-1, 0)], dim=1) for side in sides])
+
+    @cached_property
+    def _has_length(self) -> Tensor:
+        """Which of `_wall_segments` do not end where they begin, [2P], bool."""
+        return (self._wall_segments[:, 0] != self._wall_segments[:, 1]).any(dim=1)
+
+    @cached_property
+    def _route(self) -> Routes:
+        return Routes([self])
+
+    @staticmethod
+    def _only(stations: Tensor) -> Tensor:
+        """Which track each station is on."""
+        return torch.zeros(len(stations), dtype=torch.int64)
+
+
+def builtin_names() -> list[str]:
+    """Names of the tracks that come with CarRL, easiest first."""
+    return list(builtin.DRAWINGS)
+
+
+def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:
+    is_number = isinstance(gate_spacing, int | float) and not isinstance(gate_spacing, bool)
+    if gate_spacing is not None and not (is_number and MIN_GATE_SPACING <= gate_spacing < float("inf")):
+        raise TrackError(
+            f"track '{name}': gate_spacing is {gate_spacing}; it must be a number of at least {MIN_GATE_SPACING} m"
+        )
+
+
+def _ring_length(points: np.ndarray) -> float:
+    """Length of the closed line through the points [P, 2], m."""
+    return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
+
+
+def _as_tensor(points: np.ndarray) -> Tensor:
+    return torch.from_numpy(points.astype(np.float32))
+
+
+def _in_few_digits(values: Tensor) -> Any:
+    """Numbers of float32 as nested lists, with no more digits than tell them apart; in full they are twice as long."""
+    return values.cpu().numpy().astype(str).astype(np.float64).tolist()

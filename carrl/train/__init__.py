@@ -1,0 +1,1 @@
+"""A run: its trainer, folder and checkpoints."""

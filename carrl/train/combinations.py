@@ -1,0 +1,28 @@
+"""Which parts do not go together."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from torchrl.data import TensorDictReplayBuffer
+from torchrl.objectives import DQNLoss
+
+from carrl.algorithms.dqn.loss import ConservativeDQNLoss
+from carrl.data.sampler import PrioritizedAgentSampler
+from carrl.errors import ConfigError
+
+
+def check_priorities(loss: DQNLoss, buffer: TensorDictReplayBuffer) -> None:
+    """Raises ConfigError if the buffer's weights would count for a part of the loss only."""
+    if isinstance(loss, ConservativeDQNLoss) and isinstance(buffer.sampler, PrioritizedAgentSampler):
+        raise ConfigError(
+            "loss is cql, whose conservative term weighs all transitions alike, and replay_buffer is prioritized; "
+            "set replay_buffer=uniform, or another loss"
+        )
+
+
+def check_offline(config: Mapping[str, Any]) -> None:
+    """Raises ConfigError if returns over several steps are to be learnt from a log."""
+    if config.get("returns"):
+        raise ConfigError(
+            "returns are over several steps, which a log may not have in full, and data is log; set returns=one_step"
+        )

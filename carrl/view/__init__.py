@@ -1,1 +1,0 @@
-"""Pictures of runs, drawn without pyplot: no display, no global state, safe in any thread."""

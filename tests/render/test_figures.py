@@ -1,0 +1,292 @@
+"""The PNGs are whole, of a sensible size, and show what they say: checked by the colours of their pixels."""
+
+import os
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.colors import to_rgb
+from matplotlib.patches import FancyArrowPatch
+from PIL import Image
+
+from carrl.errors import CarrlError
+from carrl.render.action_colours import action_colours
+from carrl.render.close_up import draw_close_up
+from carrl.render.curve_panel import DOT, block_centres, common_bounds
+from carrl.render.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_figure
+from carrl.render.lap import draw_lap, prevailing_actions, ray_ends, same_action_stretches
+from carrl.render.learning_curve import RunCurve, block_means, draw_learning_curve, draw_learning_curves
+from carrl.render.track_map import GATE, ROAD, draw_track_map, round_number
+from carrl.sim.sensor import Sensor
+from carrl.sim.simulator import Simulator
+from carrl.sim.vehicle import Vehicle
+from carrl.tracks.centreline import Centreline
+from carrl.tracks.track import Track
+from tests.sim.steering import LEFT, steer
+
+
+def pixels_of(path, colour, tolerance=6):
+    """How many pixels of the PNG have this colour."""
+    with Image.open(path) as image:
+        assert image.format == "PNG"
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    difference = np.abs(pixels - np.round(np.array(to_rgb(colour)) * 255).astype(int))
+    return int((difference.max(axis=-1) <= tolerance).sum())
+
+
+def size_of(path):
+    with Image.open(path) as image:
+        image.load()  # raises for half a file
+        return image.size
+
+
+def noisy_returns(episodes, seed=0):
+    generator = np.random.default_rng(seed)
+    return (np.linspace(-200, 380, episodes) + generator.normal(0, 80, episodes)).tolist()
+
+
+def drive(track, choose, steps=400):
+    """Poses [T + 1, 3], ranges [T, R], actions [T] and whether it ended at a wall."""
+    simulator = Simulator(track, Vehicle(), Sensor(max_range=10.0))
+    state = simulator.start(torch.zeros(1))
+    poses, ranges, actions = [state.pose], [], []
+    for step in range(steps):
+        ranges.append(simulator.sense(state))
+        actions.append(choose(step, ranges[-1]))
+        outcome = simulator.step(state, steer(actions[-1]))
+        state = outcome.cars
+        poses.append(state.pose)
+        if outcome.collided or state.gates_passed >= track.gate_count:
+            break
+    return torch.cat(poses).numpy(), torch.cat(ranges).numpy(), torch.cat(actions).numpy(), bool(outcome.collided)
+
+
+def rule(_, ranges):
+    """Steers to the side whose rays are longer in sum."""
+    middle = ranges.shape[1] // 2
+    difference = ranges[:, middle + 1 :].sum(1) - ranges[:, :middle].sum(1)
+    return torch.where(difference > 0.5, 1, torch.where(difference < -0.5, 2, 0))
+
+
+def draw(path, track, poses, ranges, actions, **options):
+    angles = Sensor().angles.numpy()
+    names = ("forward", "left", "right")
+    draw_lap(
+        path, track, poses, ranges, angles, actions, action_names=names, body_radius=0.5, title="a drive", **options
+    )
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return Track.load("paper")
+
+
+@pytest.fixture(scope="module")
+def lap(paper):
+    poses, ranges, actions, collided = drive(paper, rule)
+    assert not collided
+    return poses, ranges, actions
+
+
+def test_block_means_by_hand():
+    np.testing.assert_allclose(block_means([1, 2, 3, 10, 20, 30], 3), [2, 20])
+
+
+def test_a_last_incomplete_block_is_left_out():
+    np.testing.assert_allclose(block_means([1, 2, 3, 10, 20], 3), [2])
+
+
+def test_an_incomplete_block_counts_if_it_is_the_only_one():
+    np.testing.assert_allclose(block_means([1, 2], 3), [1.5])
+
+
+def test_no_episode_has_no_block():
+    assert block_means([], 3).shape == (0,)
+
+
+def test_blocks_stand_in_the_middle_of_their_episodes():
+    np.testing.assert_allclose(block_centres(45, 20), [10.5, 30.5])
+
+
+def test_bounds_leave_out_a_freak_episode_but_no_block_mean():
+    returns = [0.0] * 500 + [-300.0] * 500
+    bounds = common_bounds([RunCurve([*returns[:999], -20_000.0])], window=500)
+    assert -400 < bounds.low < -300
+    assert bounds.outside
+    assert not common_bounds([RunCurve(returns)], window=500).outside
+
+
+@pytest.mark.parametrize("episodes", [0, 1, 20, 300, 3000])
+def test_learning_curve_of_any_length(tmp_path, episodes):
+    draw_learning_curve(tmp_path / "curve.png", noisy_returns(episodes))
+    assert size_of(tmp_path / "curve.png") == (910, 468)
+    means = pixels_of(tmp_path / "curve.png", BLUE)
+    assert means > (300 if episodes >= 300 else 0)
+    assert pixels_of(tmp_path / "curve.png", VERMILLION) == 0
+
+
+def test_learning_curve_of_equal_returns(tmp_path):
+    draw_learning_curve(tmp_path / "curve.png", [-220.0] * 50)
+    assert pixels_of(tmp_path / "curve.png", BLUE) > 100
+
+
+@pytest.mark.parametrize("first_lap", [0, 150, 300])
+def test_first_lap_is_marked(tmp_path, first_lap):
+    draw_learning_curve(tmp_path / "curve.png", noisy_returns(300), first_lap_episode=first_lap)
+    assert pixels_of(tmp_path / "curve.png", VERMILLION, tolerance=60) > 250
+
+
+def test_single_returns_are_drawn_behind_the_means(tmp_path):
+    draw_learning_curve(tmp_path / "curve.png", noisy_returns(300), window=1000)
+    faint = np.array(to_rgb(DOT)) * 0.45 + 0.55
+    assert pixels_of(tmp_path / "curve.png", tuple(faint)) > 300
+
+
+@pytest.mark.parametrize("count", [1, 2, 10, 11])
+def test_small_multiples_of_any_number(tmp_path, count):
+    runs = {f"seed={seed},$x_{seed}": RunCurve(noisy_returns(60 * seed, seed)) for seed in range(count)}
+    draw_learning_curves(tmp_path / "curves.png", runs)
+    width, height = size_of(tmp_path / "curves.png")
+    assert width == 910
+    assert 300 < height < 1200
+    assert pixels_of(tmp_path / "curves.png", BLUE) > 0
+
+
+def test_small_multiples_show_which_runs_lapped(tmp_path):
+    returns = noisy_returns(100)
+    draw_learning_curves(tmp_path / "none.png", {"a": RunCurve(returns), "b": RunCurve(returns)})
+    draw_learning_curves(tmp_path / "one.png", {"a": RunCurve(returns), "b": RunCurve(returns, 40)})
+    assert pixels_of(tmp_path / "none.png", VERMILLION) == 0
+    assert pixels_of(tmp_path / "one.png", VERMILLION) > 100
+
+
+def test_no_run_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="at least one"):
+        draw_learning_curves(tmp_path / "curves.png", {})
+
+
+def test_ray_ends_by_hand():
+    ends = ray_ends(np.array([1.0, 2.0, np.pi / 2]), np.array([3.0, 4.0]), np.array([0.0, np.pi / 2]))
+    np.testing.assert_allclose(ends, [[1, 5], [-3, 2]], atol=1e-12)
+
+
+def test_stretches_of_one_action_by_hand():
+    assert same_action_stretches(np.array([0, 0, 1, 2, 2, 2])) == [(0, 2), (2, 3), (3, 6)]
+    assert same_action_stretches(np.array([], dtype=int)) == []
+
+
+def test_prevailing_actions_by_hand():
+    actions = np.array([1, 2, 1, 0, 0, 2, 2])
+    np.testing.assert_array_equal(prevailing_actions(actions, 3), [1, 1, 1, 0, 0, 0, 2])
+    np.testing.assert_array_equal(prevailing_actions(actions, 1), actions)
+
+
+@pytest.mark.parametrize(("least", "expected"), [(0.3, 0.5), (1, 1), (3, 5), (5.1, 10), (140, 200), (1000, 1000)])
+def test_round_numbers(least, expected):
+    assert round_number(least) == pytest.approx(expected)
+
+
+def test_a_lap_shows_road_gates_line_rays_and_cars(tmp_path, paper, lap):
+    draw(tmp_path / "lap.png", paper, *lap)
+    width, height = size_of(tmp_path / "lap.png")
+    assert width == 910
+    assert 500 < height < 1000
+    assert pixels_of(tmp_path / "lap.png", ROAD) > 50_000
+    for colour in (*action_colours(3), GREEN, YELLOW):
+        assert pixels_of(tmp_path / "lap.png", colour) > 50
+
+
+def test_an_action_that_was_never_chosen_is_in_the_legend_only(tmp_path, paper, lap):
+    poses, ranges, actions = lap
+    draw(tmp_path / "both.png", paper, poses, ranges, actions)
+    draw(tmp_path / "left.png", paper, poses, ranges, np.full_like(actions, LEFT))
+    assert pixels_of(tmp_path / "both.png", BLUE) > 2 * pixels_of(tmp_path / "left.png", BLUE)
+
+
+def test_gates_are_white_lines_across_the_road(paper):
+    track_map = draw_track_map(paper, "paper")
+    track_map.figure.canvas.draw()
+    picture = np.asarray(track_map.figure.canvas.buffer_rgba())
+    for gate in paper.gates[:-1].double().numpy():
+        x, y = track_map.axes.transData.transform(0.7 * gate[0] + 0.3 * gate[1])
+        column, row = round(x), round(picture.shape[0] - y)
+        around = picture[row - 1 : row + 2, column - 1 : column + 2, :3]
+        assert around.max() == round(255 * to_rgb(GATE)[0])
+
+
+def test_a_map_has_equal_scales(paper):
+    track_map = draw_track_map(paper, "paper")
+    origin, right, up = track_map.axes.transData.transform([(0, 0), (1, 0), (0, 1)])
+    assert right[0] - origin[0] == pytest.approx(up[1] - origin[1])
+    assert (right[0] - origin[0]) / track_map.figure.dpi * 72 == pytest.approx(track_map.scale)
+
+
+def test_a_crash_ends_with_a_cross(tmp_path, paper):
+    poses, ranges, actions, collided = drive(paper, lambda step, _: torch.tensor([step // 4 % 3]))
+    assert collided
+    draw(tmp_path / "crash.png", paper, poses, ranges, actions, collided=True)
+    draw(tmp_path / "end.png", paper, poses, ranges, actions, collided=False)
+    assert pixels_of(tmp_path / "crash.png", BLACK) > pixels_of(tmp_path / "end.png", BLACK) + 100
+
+
+@pytest.mark.parametrize("steps", [0, 1, 5])
+def test_the_shortest_drives(tmp_path, paper, lap, steps):
+    poses, ranges, actions = lap
+    draw(tmp_path / "short.png", paper, poses[:steps], ranges[:steps], actions[:steps])
+    assert pixels_of(tmp_path / "short.png", ROAD) > 50_000
+
+
+def long_circuit(tmp_path):
+    """A circle of 600 m radius as a file."""
+    angle = np.arange(0, 2 * np.pi, 0.01)[:, None]
+    rows = np.hstack([600 * np.cos(angle), 600 * np.sin(angle), np.full((len(angle), 2), 5.0)])
+    header = "# x_m,y_m,w_tr_right_m,w_tr_left_m"
+    np.savetxt(tmp_path / "circle.csv", rows, delimiter=",", header=header, comments="")
+    return Track.load(tmp_path / "circle.csv")
+
+
+def test_a_long_circuit_gets_a_close_up_and_a_short_one_does_not(tmp_path, paper):
+    circle = long_circuit(tmp_path)
+    places = circle.centreline.numpy()[:1]
+    track_map = draw_track_map(circle, "circle")
+    close_up = draw_close_up(track_map, circle, places)
+    assert close_up is not None
+    assert close_up.scale > 1.5 > track_map.scale
+    assert draw_close_up(draw_track_map(paper, "paper"), paper, paper.centreline.numpy()[:1]) is None
+
+
+def test_rays_are_visible_on_a_long_circuit(tmp_path):
+    circle = long_circuit(tmp_path)
+    draw(tmp_path / "lap.png", circle, *drive(circle, rule, steps=60)[:3])
+    assert pixels_of(tmp_path / "lap.png", GREEN, tolerance=40) > 100
+
+
+def test_a_failed_write_keeps_the_old_picture_and_leaves_nothing_beside_it(tmp_path, monkeypatch):
+    path = tmp_path / "curve.png"
+    draw_learning_curve(path, noisy_returns(20))
+    before = path.read_bytes()
+
+    def refuse(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(CarrlError, match="no space left"):
+        draw_learning_curve(path, noisy_returns(40))
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["curve.png"]
+
+
+def test_the_same_figure_gives_the_same_bytes(tmp_path):
+    for name in ("a.png", "b.png"):
+        save_figure(new_figure(height=1.0), tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_the_arrow_of_a_start_in_a_corner_points_along_the_road():
+    points = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 50.0], [0.0, 50.0]])
+    track = Track.from_centreline("square", Centreline(points, *np.full((2, 4), 4.0)))
+    patches = draw_track_map(track, "square").axes.patches
+    (tail, head) = next(patch for patch in patches if isinstance(patch, FancyArrowPatch))._posA_posB
+    way = np.subtract(head, tail)
+    assert way[0] > 0
+    assert way[1] == pytest.approx(0, abs=1e-5 * way[0])

@@ -1,0 +1,71 @@
+"""The figures of a report show every group in its colour, and mark what is significant."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from carrl.render.figure import BLUE, VERMILLION
+from carrl.report.figures.folder import draw_figures
+from carrl.report.figures.improvement import UNDECIDED
+from carrl.report.figures.series import COLOURS, looks, short, wrapped
+from carrl.report.findings import find
+from tests.run_folders import write_run, write_sweep
+
+
+def pixels_of(path, colour):
+    """How many pixels of the PNG have about this colour."""
+    with Image.open(path) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    return int((abs(pixels - np.round(255 * np.array(to_rgb(colour))).astype(int)).max(axis=-1) <= 6).sum())
+
+
+@pytest.fixture(scope="module")
+def figures(tmp_path_factory):
+    """Of a loss that laps late and of one that laps early."""
+    root = tmp_path_factory.mktemp("runs")
+    write_sweep(root, {"dqn": [500, 600, 700, 800, None], "double_dqn": [100, 150, 200, 250, 300]})
+    draw_figures(root, find([root]))
+    return root
+
+
+@pytest.mark.parametrize("name", ["learning_curves", "performance_profile", "first_lap", "smoothness"])
+def test_each_group_has_its_colour_in_every_figure(name, figures):
+    path = figures / f"{name}.png"
+    with Image.open(path) as image:
+        assert image.width == 910
+    assert pixels_of(path, BLUE) > 100
+    assert pixels_of(path, VERMILLION) > 100
+
+
+def test_significant_improvements_stand_out(figures, tmp_path):
+    write_sweep(tmp_path, {"dqn": [500, 600], "double_dqn": [100, 150]})
+    draw_figures(tmp_path, find([tmp_path]))
+    in_the_legend = pixels_of(tmp_path / "improvement.png", VERMILLION)
+    assert pixels_of(figures / "improvement.png", VERMILLION) > in_the_legend + 50
+    assert pixels_of(figures / "improvement.png", UNDECIDED) > 100
+
+
+def test_many_groups_with_long_names_are_drawn(tmp_path):
+    for index in range(9):
+        sizes = [index + 1, *[64] * 40]
+        write_run(tmp_path / str(index), network={"hidden_sizes": sizes})
+        write_run(tmp_path / f"{index}, seed 1", 1, network={"hidden_sizes": sizes})
+    drawn = draw_figures(tmp_path, find([tmp_path]))
+    assert len(drawn) == 5
+    for picture in drawn:
+        with Image.open(tmp_path / picture.file) as image:
+            image.load()
+            assert image.width == 910
+
+
+def test_more_groups_than_colours_differ_in_their_lines(tmp_path):
+    for index in range(2 * len(COLOURS)):
+        write_run(tmp_path / str(index), network={"hidden_sizes": [index + 1]})
+    styles = looks(find([tmp_path]).groups).values()
+    assert len({(look.colour, look.line) for look in styles}) == 2 * len(COLOURS)
+
+
+def test_long_names_are_cut_in_the_middle_and_wrapped_with_their_end():
+    assert short("abcdefghijklmnop", 9) == "abc...nop"
+    assert wrapped("one two three four five six", 9, lines=2) == "one two\n...ve six"

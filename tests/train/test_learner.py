@@ -1,0 +1,193 @@
+"""Compiled updates against eager ones."""
+
+import logging
+import shutil
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from carrl.data.replay_buffer import KEYS
+from carrl.train.build import build_pipeline
+from carrl.train.learner import Learner
+from carrl.train.native import CompilationError, _fingerprint
+from carrl.train.package_cache import cache_dir
+from tests.configs import compose
+
+needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
+
+
+def make_pipeline(*overrides):
+    """A pipeline whose buffer holds 800 transitions."""
+    soft = any(override.startswith("target_updater=") for override in overrides)
+    period = [] if soft else ["target_updater.period=50"]
+    pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", *period, *overrides))
+    agents = len(pipeline.agents)
+    for _, batch in zip(range(25), pipeline.collector, strict=False):
+        transitions = batch.view(agents, -1, 1).permute(2, 1, 0).select(*KEYS)
+        kept = transitions if pipeline.returns is None else pipeline.returns(transitions)
+        if len(kept):
+            pipeline.replay_buffer.extend(kept.flatten(0, 1))
+    return pipeline
+
+
+def messages(caplog):
+    """What CarRL itself logged."""
+    return [record.message for record in caplog.records if record.name.startswith("carrl")]
+
+
+def updated(pipeline, count=200):
+    """The losses of this many updates, [count, A]."""
+    losses = []
+    for _ in range(count):
+        pipeline.learner.learn(1)
+        losses.append(pipeline.learner.losses.tolist())
+    return torch.tensor(losses)
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("overrides", [("loss=dqn",), ("loss=double_dqn", "trainer.seeds=[1,2]")], ids=" ".join)
+def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
+    eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
+    torch.testing.assert_close(updated(compiled), updated(eager), rtol=1e-5, atol=0)
+    assert not any("eagerly" in message for message in messages(caplog))
+    for ours, theirs in zip(compiled.agents, eager.agents, strict=True):
+        for name in ("value_network_params", "target_value_network_params"):
+            tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
+            for fused, plain in zip(*tensors, strict=True):
+                assert ((fused - plain).norm() / plain.norm()).item() < 1e-5
+
+
+EVERYTHING = (
+    ("network=noisy", "replay_buffer=prioritized", "returns=n_step", "target_updater=soft"),
+    ("loss=distributional", "gradient_clipping=norm", "learning_rate=linear", "learning_rate.updates=100"),
+    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping=norm"),
+    ("loss=advantage_learning", "replay_buffer=prioritized"),
+)
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
+def test_whatever_an_update_is_made_with_it_is_compiled_with_the_same_numbers(overrides, caplog):
+    overrides = (*overrides, "trainer.seeds=[1,2]")
+    eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
+    torch.testing.assert_close(updated(compiled, 60), updated(eager, 60), rtol=1e-3, atol=0)
+    assert not any("eagerly" in message for message in messages(caplog))
+
+
+@pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
+def test_whatever_an_update_is_made_with_together_and_alone_the_weights_are_the_same_bit_for_bit(overrides):
+    together = make_pipeline(*overrides, "trainer.seeds=[1,2]")
+    together.learner.learn(5)
+    for index, seed in enumerate((1, 2)):
+        alone = make_pipeline(*overrides, f"seed={seed}")
+        alone.learner.learn(5)
+        pairs = zip(together.agents[index].network.parameters(), alone.agents[0].network.parameters(), strict=True)
+        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit():
+    together = make_pipeline("loss=double_dqn", "trainer.seeds=[1,2]", "compile=true")
+    together.learner.learn(200)
+    for index, seed in enumerate((1, 2)):
+        alone = make_pipeline("loss=double_dqn", f"seed={seed}", "compile=true")
+        alone.learner.learn(200)
+        pairs = zip(together.agents[index].network.parameters(), alone.agents[0].network.parameters(), strict=True)
+        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_compiled_code_is_kept_between_runs(caplog):
+    caplog.set_level(logging.WARNING)
+    updated(make_pipeline("compile=true"), count=2)
+    caplog.clear()
+    updated(make_pipeline("compile=true"), count=2)
+    assert messages(caplog) == []
+    assert list(cache_dir().glob("*.pt2"))
+
+
+def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, caplog):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    losses = updated(make_pipeline("compile=true"), count=5)
+    assert torch.equal(losses, updated(make_pipeline(), count=5))
+    (message,) = messages(caplog)
+    assert "cannot be compiled: no C++ compiler is installed" in message
+
+
+@pytest.mark.parametrize("becomes", ["itself", "an error", "nothing"])
+def test_an_interrupted_compilation_is_not_replaced_by_eager_updates(becomes, monkeypatch, caplog):
+    """Whatever torch and torchrl make of the KeyboardInterrupt that a signal's handler raises in them."""
+    learner = make_pipeline("compile=true").learner
+
+    def compile_interrupted(*_):
+        try:
+            learner.interrupt()
+        except KeyboardInterrupt:
+            if becomes == "itself":
+                raise
+            if becomes == "an error":
+                raise CompilationError("RuntimeError: a tensordict has no truth value") from None
+        return list
+
+    monkeypatch.setattr("carrl.train.native_update.compile_native", compile_interrupted)
+    learner.interrupt()  # there is no compilation yet
+    with pytest.raises(KeyboardInterrupt):
+        learner.learn(8)
+    assert learner.updates == 0
+    assert messages(caplog) == []
+
+
+@pytest.mark.parametrize(
+    ("optimizer", "reason"),
+    [
+        (lambda parameters: torch.optim.SGD(parameters, lr=1e-3, momentum=0.9), "the optimizer is SGD"),
+        (lambda parameters: torch.optim.Adam(parameters, lr=1e-3, amsgrad=True), "the optimizer uses amsgrad"),
+    ],
+    ids=["SGD", "AMSGrad"],
+)
+def test_another_optimizer_than_plain_adam_runs_eagerly(optimizer, reason, caplog):
+    pipeline = make_pipeline()
+    (agent,) = pipeline.agents
+    agent = replace(agent, optimizer=optimizer(list(agent.loss.parameters())))
+    before = [parameter.clone() for parameter in agent.network.parameters()]
+    Learner([agent], pipeline.replay_buffer, compiled=True).learn(3)
+    (message,) = messages(caplog)
+    assert reason in message
+    assert any((a != b).any() for a, b in zip(before, agent.network.parameters(), strict=True))
+
+
+def test_compiled_code_is_told_apart_by_every_constant_and_shape():
+    def fingerprint(function, *shape):
+        inputs = [torch.ones(shape)]
+        return _fingerprint(make_fx(function)(*inputs), inputs)
+
+    discount, other_discount = torch.tensor(0.95), torch.tensor(0.9)
+    names = [
+        fingerprint(lambda values: values * discount, 3),
+        fingerprint(lambda values: values * other_discount, 3),
+        fingerprint(lambda values: values * 0.5, 3),
+        fingerprint(lambda values: values * 0.25, 3),
+        fingerprint(lambda values: values * 0.5, 4),
+    ]
+    assert len(set(names)) == len(names)
+    assert fingerprint(lambda values: values * discount, 3) == names[0]
+
+
+@needs_compiler
+def test_code_is_not_loaded_from_a_folder_that_others_can_write_to(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cache_dir().mkdir()
+    cache_dir().chmod(0o777)
+    updated(make_pipeline("compile=true"), count=2)
+    assert "can be written by others; remove it" in caplog.text
+    assert list(cache_dir().iterdir()) == []
