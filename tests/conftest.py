@@ -4,6 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.small_episode import scene, trace, track_shape
+
+__all__ = ["scene", "trace", "track_shape"]
+
 REAL_CIRCUITS = Path(__file__).resolve().parents[2] / "shared" / "tracks" / "real"
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from carrl.cli.parser import Parser, named_folder
 from carrl.errors import ConfigError
-from carrl.render.picture_file import picture_format
+from carrl.render import picture_format
 from carrl.report.document import as_json
 from carrl.report.findings import Findings, find
 from carrl.report.runs_table import best_lap_of
@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _draw_curves(path: Path, findings: Findings) -> None:
-    from carrl.render.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
+    from carrl.render.curves import RunCurve, draw_learning_curves  # brings Matplotlib
 
     first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]
     curves = {

@@ -105,16 +105,14 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    from carrl.render.figure import save_figure
-    from carrl.render.picture_file import picture_format
+    from carrl.render import picture_format
     from carrl.render.track_map import draw_track_map
     from carrl.tracks.track import Track
 
     track = Track.load(arguments.track)
     path = Path(arguments.out or f"{Path(track.name).stem}.png")
     picture_format(path, "--out")
-    track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
-    save_figure(track_map.figure, path)
+    draw_track_map(path, track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
     print(printable(str(path)))
     return 0
 

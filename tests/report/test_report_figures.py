@@ -5,7 +5,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from carrl.render.figure import BLUE, VERMILLION
+from carrl.render.colours import BLUE, VERMILLION
 from carrl.report.figures.folder import draw_figures
 from carrl.report.figures.improvement import UNDECIDED
 from carrl.report.figures.series import COLOURS, looks, short, wrapped

@@ -9,7 +9,7 @@ from carrl.cli.log.chosen_episode import choose_trace
 from carrl.cli.log.printable import printable
 from carrl.cli.log.terminal import counted
 from carrl.errors import CarrlError
-from carrl.export import table as log_table
+from carrl.export import tables as log_table
 from carrl.log.reader import Log
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from carrl.render.figure import FAINT, INK, VERMILLION, new_figure, plain_axes, save_figure
+from carrl.render.colours import FAINT, INK, VERMILLION
+from carrl.render.figure import new_figure, plain_axes, save_figure
 from carrl.report.comparison import Comparison
 from carrl.report.figures.series import wrapped
 from carrl.report.findings import Findings

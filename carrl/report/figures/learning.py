@@ -6,7 +6,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
-from carrl.render.figure import FAINT, INK, new_figure, plain_axes, save_figure
+from carrl.render.colours import FAINT, INK
+from carrl.render.figure import new_figure, plain_axes, save_figure
 from carrl.report.curves import Curve, lap_profiles, return_curves, score_profiles
 from carrl.report.figures.series import Look, draw_curves, legend_rows, looks, name_groups
 from carrl.report.groups import Group

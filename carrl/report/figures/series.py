@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from carrl.render.figure import BLACK, BLUE, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
+from carrl.render.colours import BLACK, BLUE, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
 from carrl.report.curves import Curve
 from carrl.report.groups import Group
 

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from carrl.render.figure import FAINT, INK, new_figure, plain_axes, save_figure
+from carrl.render.colours import FAINT, INK
+from carrl.render.figure import new_figure, plain_axes, save_figure
 from carrl.report.figures.series import Look, looks, wrapped
 from carrl.report.findings import Findings, GroupFigure
 from carrl.report.groups import Group

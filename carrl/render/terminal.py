@@ -1,4 +1,4 @@
-"""Charts of characters: lines of braille dots in colour on a terminal, lines of letters in plain text.
+"""Charts and bars of characters: braille dots in colour on a terminal, letters in plain text.
 
 Shapes: `N` points.
 """
@@ -11,17 +11,19 @@ from typing import Self
 import numpy as np
 import plotext
 from numpy.typing import ArrayLike, NDArray
+from rich.bar import Bar
 from rich.color import Color
-from rich.console import Console
+from rich.console import Console, Group
 from rich.style import Style
+from rich.table import Table
 from rich.text import Text
 
 from carrl.log.scene import TrackShape
-from carrl.render.viewer_palette import ACTIONS, Colour
-from carrl.render.wall_lines import connected_walls
+from carrl.render.colours import DARK, rgb
+from carrl.render.episode import connected_walls
+from carrl.render.ticks import round_ticks, step_between
 
 Bounds = tuple[float, float]
-_LEAST_STEP = 1e-300
 DOTS = 2, 4
 """Dots of a braille character, across and down; they stand as far apart both ways, as characters are high."""
 
@@ -36,12 +38,12 @@ class Ink:
     """
 
     symbol: str
-    colour: Colour | None = None
+    colour: str | None = None
 
     @property
     def style(self) -> Style:
         """The colour, for rich."""
-        return Style(color=Color.from_rgb(*self.colour)) if self.colour else Style()
+        return Style(color=Color.from_rgb(*rgb(self.colour))) if self.colour else Style()
 
     def sample(self, name: str) -> Text:
         """A piece for a legend."""
@@ -57,7 +59,7 @@ def shows_colours(console: Console) -> bool:
 def action_inks(names: Sequence[str], coloured: bool) -> list[Ink]:
     """An ink for each action: its colour, or else the first letter of its name that is still free."""
     if coloured:
-        colours = (None, *ACTIONS[1:])
+        colours = (None, *DARK.actions[1:])
         return [Ink("braille", colours[action % len(colours)]) for action in range(len(names))]
     letters: list[str] = []
     for name in names:
@@ -149,35 +151,50 @@ def map_chart(track: TrackShape, width: int, height: int, ink: Ink) -> Chart:
     return chart
 
 
-def round_ticks(low: float, high: float, most: int) -> list[float]:
-    """Multiples of a round number from `low` to `high`, with at most so many spaces between them."""
-    step = step_between(low, high, most)
-    return [step * number for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
-
-
-def step_between(low: float, high: float, most: int) -> float:
-    """A round number that is at most so many times between two others; 1 between equals, more where floats are sparse.
-
-    Neither the difference of two floats nor a part of it need be a float above 0.
-    """
-    least = high / most - low / most if high > low else 1.0
-    return round_step(max(least, math.ulp(low), math.ulp(high), _LEAST_STEP))
-
-
-def span(low: float, high: float) -> Bounds:
-    """These two, or a little to both sides of them where no chart could tell them apart."""
-    margin = 0.5 if high <= low else 0.0
-    least = 64 * max(math.ulp(low), math.ulp(high), _LEAST_STEP)
-    return (low, high) if high - low >= least else (low - max(margin, least), high + max(margin, least))
-
-
-def round_step(least: float) -> float:
-    """The smallest of ..., 1, 2, 5, 10, 20, 50, ... that is not below `least`, which is positive."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(digit * power for digit in (1, 2, 5, 10) if digit * power >= least)
-
-
 def _marker(ink: Ink) -> plotext.marker:
     if ink.colour is None:
         return plotext.marker(ink.symbol)
-    return plotext.marker(ink.symbol, pixel=plotext.pixel(foreground=tuple(ink.colour)))
+    return plotext.marker(ink.symbol, pixel=plotext.pixel(foreground=tuple(rgb(ink.colour))))
+
+
+PLAIN = Ink("braille")
+LEAST_WIDTH = 10
+"""Of the longest bar, characters."""
+FIGURES = 18
+"""Room for a count and its share, characters."""
+
+
+@dataclass(frozen=True)
+class BarRow:
+    """One bar: what it counts, how many of these there are, and what it is drawn with."""
+
+    name: str
+    count: int
+    ink: Ink = PLAIN
+
+
+def bars(title: str, rows: Sequence[BarRow], width: int) -> Group:
+    """A bar for each row under a title, with its count and its share of all, so many characters wide."""
+    total, most = (function([row.count for row in rows]) for function in (sum, max))
+    names = max(len(row.name) for row in rows)
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for justify in ("right", "left", "right", "right"):
+        table.add_column(justify=justify, no_wrap=True)
+    for row in rows:
+        bar = Bar(max(1, most), 0, row.count, width=max(LEAST_WIDTH, width - names - FIGURES))
+        bar.style += row.ink.style
+        share = 100 * row.count / total if total else 0.0
+        shown = "<1 %" if 0 < share < 1 else f"{share:.0f} %"
+        table.add_row(Text(row.name), bar, Text(f"{row.count:,}"), Text(shown, "dim"))
+    return Group(Text(title, "bold"), table)
+
+
+def histogram(title: str, values: NDArray[np.floating | np.integer], width: int, most: int = 10) -> Group:
+    """How many of the values, of which there is at least one, lie in each interval between round numbers."""
+    low, high = float(values.min()), float(values.max())
+    step = step_between(low, high, most)
+    step = max(step, 1.0) if np.issubdtype(values.dtype, np.integer) else step
+    begin = math.floor(low / step)
+    counts = np.bincount(np.floor(values / step).astype(np.int64) - begin)
+    edges = [f"{step * (begin + index):,.10g}" for index in range(len(counts) + 1)]
+    return bars(title, [BarRow(f"{edges[i]} to {edges[i + 1]}", int(count)) for i, count in enumerate(counts)], width)

@@ -13,11 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import CarrlError
-from carrl.render.video.canvas import Picture
-from carrl.render.video.colours import gif_palette
+from carrl.render.canvas import Picture
+from carrl.render.colours import BLACK, BLUE, FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW, rgb
 
 BT709, LIMITED = 1, 1
 """H.264's numbers for the colours of high definition, and for brightness from 16 to 235."""
+OLD_TRAIL, RULE = "#a8a8a8", "#e0e0e0"
+"""The line driven long ago, and thin lines between parts of a panel."""
+_FOREGROUNDS = (
+    *(INK, FAINT, BLACK, BLUE, VERMILLION, GREEN, YELLOW),
+    *(LIGHT.wall, OLD_TRAIL, LIGHT.centreline, RULE),
+)
+_SHADES = 8
+"""Steps from a background to a colour on it: at an antialiased edge the two are mixed."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ GIF = Encoding(ending=".gif", codec="gif", layout="pal8", width=640, height=360,
 
 
 def encoded(encoding: Encoding, pictures: Iterable[Picture]) -> bytes:
-    """The content of a video file of at least one picture, [H, W, 4] each.
+    """The content of a video file of at least one picture, [H, W, 3] each.
 
     Raises:
         CarrlError: PyAV is not installed.
@@ -87,7 +95,7 @@ def _pyav() -> Any:
 
 def _high_definition_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
     for picture in pictures:
-        yield av.VideoFrame.from_ndarray(picture, format="rgba").reformat(format=MP4.layout, dst_colorspace=BT709)
+        yield av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=MP4.layout, dst_colorspace=BT709)
 
 
 def _palette_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
@@ -97,7 +105,7 @@ def _palette_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
     palette = np.zeros((256, 4), np.uint8)
     palette[:, 0], palette[: len(colours), 1:] = 255, colours
     for picture in pictures:
-        red, green, blue, _ = (picture >> 3).astype(np.uint16).transpose(2, 0, 1)
+        red, green, blue = (picture >> 3).astype(np.uint16).transpose(2, 0, 1)
         yield av.VideoFrame.from_ndarray((nearest[red << 10 | green << 5 | blue], palette), format=GIF.layout)
 
 
@@ -120,3 +128,11 @@ def _new_stream(container: Any, encoding: Encoding) -> Any:
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = LIMITED
     return stream
+
+
+def gif_palette() -> NDArray[np.uint8]:
+    """Every colour that a picture has, or one very near to it, [N, 3], N at most 256: each on each background."""
+    mixed = np.linspace(0, 1, _SHADES)[:, None]
+    pairs = [(PAPER, colour) for colour in _FOREGROUNDS] + [(LIGHT.road, colour) for colour in _FOREGROUNDS]
+    ways = [(1 - mixed) * rgb(ground) + mixed * rgb(colour) for ground, colour in [*pairs, (LIGHT.car, INK)]]
+    return np.unique(np.round(np.vstack(ways)).astype(np.uint8), axis=0)
