@@ -123,8 +123,8 @@ class _Fields:
             _add_field(message, number).type = FieldDescriptorProto.TYPE_DOUBLE
         for field, names in states.items():
             kind = message.enum_type.add(name=field.capitalize())
-            for number, state in enumerate(identifiers(names)):
-                kind.value.add(name=state, number=number)
+            for index, state in enumerate(identifiers(names)):
+                kind.value.add(name=state, number=index)
             added = _add_field(message, field)
             added.type, added.type_name = FieldDescriptorProto.TYPE_ENUM, f".{PACKAGE}.{name}.{kind.name}"
         self._fields = [field.name for field in message.field]
@@ -196,8 +196,10 @@ def _car(time_ns: int, radius: float) -> fg.SceneUpdate:
         head_diameter=radius,
         color=colour,
     )
-    place = {"timestamp": _stamp(time_ns), "frame_id": CAR_FRAME, "frame_locked": True}
-    return fg.SceneUpdate(entities=[fg.SceneEntity(id="car", cylinders=[disc], arrows=[arrow], **place)])
+    entity = fg.SceneEntity(
+        timestamp=_stamp(time_ns), frame_id=CAR_FRAME, id="car", frame_locked=True, cylinders=[disc], arrows=[arrow]
+    )
+    return fg.SceneUpdate(entities=[entity])
 
 
 def _transform(time_ns: int, x: float, y: float, heading: float) -> fg.FrameTransform:
@@ -213,8 +215,9 @@ def _transform(time_ns: int, x: float, y: float, heading: float) -> fg.FrameTran
 
 def _scan(time_ns: int, ranges: list[float], scene: Scene) -> fg.LaserScan:
     first, last = scene.sensor_angles[[0, -1]].tolist()
-    place = {"timestamp": _stamp(time_ns), "frame_id": CAR_FRAME, "pose": _pose()}
-    return fg.LaserScan(start_angle=first, end_angle=last, ranges=ranges, **place)
+    return fg.LaserScan(
+        timestamp=_stamp(time_ns), frame_id=CAR_FRAME, pose=_pose(), start_angle=first, end_angle=last, ranges=ranges
+    )
 
 
 def _entity(time_ns: int, frame: str, name: str, lines: list[fg.LinePrimitive]) -> fg.SceneUpdate:

@@ -12,6 +12,7 @@ import sys
 import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from carrl.errors import CarrlError
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace
-from carrl.render.colours import DARK, ERROR, INFO, WARNING, rgb
+from carrl.render.colours import DARK, ERROR, INFO, WARNING, Colour, rgb
 from carrl.render.episode import EpisodeScene, Lines, Series, States
 
 try:
@@ -69,7 +70,8 @@ def write_recording(path: str | Path, trace: EpisodeTrace, title: str) -> None:
     recording = rr.RecordingStream("carrl", recording_id=uuid.UUID(bytes=scene.digest).hex, send_properties=False)
     memory = recording.memory_recording()
     recording.send_recording_name(title)
-    recording.send_property("episode", rr.AnyValues(**scene.facts, begins_at_s=float(trace.times[0])))
+    facts: dict[str, Any] = {**scene.facts, "begins_at_s": float(trace.times[0])}
+    recording.send_property("episode", rr.AnyValues(**facts))
     recording.send_blueprint(_blueprint(scene))
     _Episode(recording, scene).send()
     content = memory.drain_as_bytes()
@@ -195,7 +197,8 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
     axis = rrb.TimeAxis(link="LinkToGlobal")  # zooming into one zooms into all
     origins = [f"/{states.name}" for states in scene.states]
     timeline = rrb.StateTimelineView(contents=origins, name="Action, and how it was chosen", time_view=axis)
-    plots, shares = [timeline], [1.7]
+    plots: list[rrb.View] = [timeline]
+    shares = [1.7]
     for series in scene.series:
         legend = rrb.PlotLegend(visible=1 < len(series.entries) <= MOST_IN_LEGEND)
         name = series.title[:1].upper() + series.title[1:]
@@ -238,8 +241,8 @@ def _spatial_view(frame: str, name: str, bounds: rrb.VisualBounds2D) -> rrb.Spat
     )
 
 
-def _shades(colours: Sequence[str]) -> list[tuple[int, int, int]]:
-    return [tuple(rgb(colour)) for colour in colours]
+def _shades(colours: Sequence[str]) -> list[Colour]:
+    return [rgb(colour) for colour in colours]
 
 
 def _points(width: float) -> float:

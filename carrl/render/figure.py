@@ -76,4 +76,4 @@ class _Drawing(Artist):
         self._draw_on = draw
 
     def draw(self, renderer: RendererBase) -> None:
-        self._draw_on(Canvas(renderer, renderer.points_to_pixels(1.0)))
+        self._draw_on(Canvas(renderer))  # in PDF and SVG a pixel is a point

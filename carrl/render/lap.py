@@ -5,7 +5,7 @@ Shapes: `T` time steps, `R` rays. Lengths are in metres, angles in radians count
 Source: the paper's figure 2 (the track, the car, the gates; the green lines are its sensors).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -141,25 +141,22 @@ def _length(positions: Floats) -> float:
 
 def _draw_legend(canvas: Canvas, size: tuple[float, float], lap: _Lap, action_names: Sequence[str]) -> None:
     """Below the map at the right: what the colours mean, with each action's share of the steps, and the marks."""
-    y, car = size[1] - 14, PRINT.outline.least
-    entries: list[tuple[str, Callable[[float], None]]] = []
-    for action, (name, colour) in enumerate(zip(action_names, lap.colours, strict=True)):
-        share = f" {round(100 * np.mean(lap.actions == action))} %" if len(lap.actions) else ""
-        stroke = Stroke(colour, 2.2)
-        entries.append((name + share, lambda x, stroke=stroke: canvas.line([(x, y), (x + _SWATCH, y)], stroke)))
-
-    def draw_car_sample(x: float) -> None:
-        canvas.line([(x, y), (x + _SWATCH, y)], Stroke(LIGHT.ray, 0.9))
-        canvas.disc((x + _SWATCH / 2, y), 2.75, LIGHT.car, Stroke(INK, car))
-
-    entries.append(("car, sensor rays", draw_car_sample))
-    entries.append(
-        ("collision" if lap.collided else "end", lambda x: lap.draw_end(canvas, np.array([x + _SWATCH / 2, y])))
-    )
+    y, colours = size[1] - 14, lap.colours
+    names = [*action_names, "car, sensor rays", "collision" if lap.collided else "end"]
+    if len(lap.actions):
+        shares = [round(100 * np.mean(lap.actions == action)) for action in range(len(action_names))]
+        names[: len(shares)] = [f"{name} {share} %" for name, share in zip(names, shares, strict=False)]
     x = size[0] - 9
-    for name, draw_sample in reversed(entries):
+    for index, name in reversed(list(enumerate(names))):
         x -= text_width(name, _TEXT)
         canvas.text((x, y + 3), name, _TEXT, INK)
         x -= _SWATCH + 5
-        draw_sample(x)
+        ends, middle = [(x, y), (x + _SWATCH, y)], np.array([x + _SWATCH / 2, y])
+        if index < len(colours):
+            canvas.line(ends, Stroke(colours[index], 2.2))
+        elif index == len(colours):
+            canvas.line(ends, Stroke(LIGHT.ray, 0.9))
+            canvas.disc(middle, 2.75, LIGHT.car, Stroke(INK, PRINT.outline.least))
+        else:
+            lap.draw_end(canvas, middle)
         x -= _SPACE

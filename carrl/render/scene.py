@@ -298,7 +298,7 @@ def _draw_gates(
     canvas: Canvas, view: View, ground: Ground, style: Style, lit: Collection[int], *, on_deck: bool
 ) -> None:
     lines = ground.gate_lines[on_deck]
-    if len(lines.vertices):
+    if (ground.on_deck == on_deck).any():
         canvas.path(lines, style.gate.stroke(style.theme.gate, view), view=view)
     if ground.on_deck[-1] == on_deck:
         _draw_start(canvas, view, ground.gates[-1], style.theme)

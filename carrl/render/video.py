@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from carrl.errors import CarrlError
 from carrl.files import write_whole
-from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
-from carrl.render.canvas import Area, Canvas, Picture, PixelCanvas, Stroke, View, fitted
+from carrl.render.canvas import Area, Canvas, Floats, Picture, PixelCanvas, Stroke, View, fitted
 from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
 from carrl.render.encoding import GIF, MP4, OLD_TRAIL, Encoding, encoded
 from carrl.render.episode import steps_of

@@ -48,7 +48,7 @@ class Window:
     def show(self, picture: Picture, fps: float) -> None:
         """Shows a picture [H, W, 3], no sooner than 1 / fps seconds after the one before."""
         height, width = picture.shape[:2]
-        self._screen.blit(pygame.image.frombuffer(picture, (width, height), "RGB"), (0, 0))
+        self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
         pygame.event.pump()
         self._clock.tick(fps)
         pygame.display.flip()
