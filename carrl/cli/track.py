@@ -100,7 +100,9 @@ def _list(arguments: argparse.Namespace) -> int:
     else:
         header = ("track", "length", "width", "least radius", "gates")
         title = ", ".join(arguments.folders) or "built-in tracks"
-        _print_table(title, header, [_row(report) for report in reports])
+        from carrl.cli.text.terminal_table import print_table
+
+        print_table(title, header, [_row(report) for report in reports])
     return 2 if refused else 0
 
 
@@ -270,20 +272,10 @@ def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str]) ->
         ("near a wall for it", metres(car.near_wall)),
         ("faults", f"{len(report.faults)}" if report.faults else "none"),
     ]
-    _print_table(report.name, ("", ""), rows)
+    from carrl.cli.text.terminal_table import print_table
+
+    print_table(report.name, ("", ""), rows, figures=())
     for fault in report.faults:
         print(f"fault: {fault}")
     for warning in warnings:
         print(f"warning: for the default car, {warning}")
-
-
-def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=printable(title), title_justify="left", show_header=any(header))
-    for name in header:
-        table.add_column(name, overflow="fold")
-    for row in rows:
-        table.add_row(*map(printable, row))
-    Console(markup=False, highlight=False, emoji=False).print(table)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -84,14 +85,15 @@ def _draw_row(axes: Axes, row: int, group: Group, measure: Measure, figure: Grou
     stopped = [limit for value, limit in values if value == math.inf and limit is not None]
     axes.scatter(reached, row - 0.12 - _stacked(reached), s=13, c=look.colour, alpha=0.65, linewidths=0, zorder=3)
     if stopped:
-        arrows = {"s": 26, "marker": ">", "facecolors": "white", "edgecolors": look.colour}
+        arrows: dict[str, Any] = {"s": 26, "marker": ">", "facecolors": "white", "edgecolors": look.colour}
         axes.scatter(stopped, np.full(len(stopped), row - 0.12), **arrows)
-        place = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 7}
+        place: dict[str, Any] = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 7}
         axes.annotate(f"never: {len(stopped)}", (max(stopped), row - 0.12), **place)
-    estimate, line = figure.estimate, {"color": look.colour, "linewidth": 2.2, "solid_capstyle": "butt"}
+    estimate = figure.estimate
+    line: dict[str, Any] = {"color": look.colour, "linewidth": 2.2, "solid_capstyle": "butt"}
     if figure.runs > 1:
         axes.plot([estimate.low, estimate.high], [row + 0.14] * 2, **line)
-    mark = {"markersize": 6.5, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 4}
+    mark: dict[str, Any] = {"markersize": 6.5, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 4}
     axes.plot(estimate.value, row + 0.14, look.mark, color=look.colour, **mark)
 
 
@@ -177,7 +179,7 @@ def _of(group: str, comparison: Comparison) -> Estimate:
 
 
 def _significance_legend() -> list[Line2D]:
-    style = {"marker": "o", "linewidth": 2.2, "markersize": 5.5}
+    style: dict[str, Any] = {"marker": "o", "linewidth": 2.2, "markersize": 5.5}
     return [
         Line2D([], [], color=VERMILLION, label="significant, with 95 % interval", **style),
         Line2D([], [], color=UNDECIDED, markerfacecolor="white", label="not significant", **style),

@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -75,14 +76,18 @@ def looks(groups: Sequence[Group]) -> dict[str, Look]:
 def draw_curves(axes: Axes, curves: Sequence[Curve], styles: dict[str, Look], steps: bool = False) -> None:
     """Each curve as a line in its band; `steps` for shares, which jump."""
     alpha = 0.16 if len(curves) <= MANY else 0.08
-    jumps, style = ("post", "steps-post") if steps else (None, "default")
     for curve in curves:
         look, band = styles[curve.label], curve.band
         if curve.runs > 1:
-            fill = {"color": look.colour, "alpha": alpha, "linewidth": 0}
-            axes.fill_between(curve.points, band.low, band.high, step=jumps, **fill)
-        line = {"color": look.colour, "linestyle": look.line, "linewidth": 1.6}
-        axes.plot(curve.points, band.value, drawstyle=style, **line)
+            fill: dict[str, Any] = {
+                "color": look.colour,
+                "alpha": alpha,
+                "linewidth": 0,
+                "step": "post" if steps else None,
+            }
+            axes.fill_between(curve.points, band.low, band.high, **fill)
+        line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "linewidth": 1.6}
+        axes.plot(curve.points, band.value, drawstyle="steps-post" if steps else "default", **line)
 
 
 def name_groups(figure: Figure, curves: Sequence[Curve], styles: dict[str, Look]) -> None:
@@ -90,7 +95,7 @@ def name_groups(figure: Figure, curves: Sequence[Curve], styles: dict[str, Look]
     handles = []
     for curve in curves:
         look = styles[curve.label]
-        line = {"color": look.colour, "linestyle": look.line, "linewidth": 1.6}
+        line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "linewidth": 1.6}
         handles.append(Line2D([], [], label=_named(curve), **line))
     legend = figure.legend(
         handles=handles, loc="outside upper left", ncols=_columns(curves), frameon=False, fontsize=8, handlelength=2.6

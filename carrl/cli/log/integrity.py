@@ -1,21 +1,27 @@
-"""`carrl log recover`: a finished log of all that is intact in a damaged one."""
+"""`carrl log check`: whether a log is intact, byte by byte; `carrl log recover`: a log of all that is intact in it."""
 
 import argparse
 import dataclasses
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb
-from carrl.cli.log.printable import printable
-from carrl.cli.log.terminal import counted, print_json
-from carrl.log import Recovery, recover
+from carrl.cli.log.shared import Verbs, add_json, add_verb, counted, print_json
+from carrl.errors import DamagedLogError
+from carrl.log import IntactLog, Recovery, recover, verify
 from carrl.log.schema import TRANSITIONS
+from carrl.printable import printable
 
 
 def add_to(verbs: Verbs) -> None:
-    """Adds the verb."""
+    """Adds both verbs."""
+    description = (
+        "Reads a log from its first byte to its last and compares every part; exit code 1 if it is not intact."
+    )
+    add_json(add_verb(verbs, "check", _check, "whether a log is intact; exit code 1 if it is not", description))
     description = "Writes a new log of all that is intact in one that was cut off or damaged, and tells what is lost."
-    verb = add_verb(verbs, "recover", run, "salvage a log that was cut off or damaged", description)
+    verb = add_verb(verbs, "recover", _recover, "salvage a log that was cut off or damaged", description)
     verb.add_argument("out", metavar="OUT", help="the new log; there must be no such file yet")
     verb.add_argument(
         "--run",
@@ -26,7 +32,33 @@ def add_to(verbs: Verbs) -> None:
     add_json(verb)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def _check(arguments: argparse.Namespace) -> int:
+    """Says that the log is intact, or what is wrong with it."""
+    try:
+        intact = verify(Path(arguments.file))
+    except DamagedLogError as error:
+        _say(arguments, None, {"intact": False, "error": str(error)})
+        print(f"carrl: {printable(str(error))}", file=sys.stderr)
+        return 1
+    _say(arguments, _sentence(intact), {"intact": True, **dataclasses.asdict(intact)})
+    return 0
+
+
+def _say(arguments: argparse.Namespace, sentence: str | None, document: dict[str, Any]) -> None:
+    if arguments.json:
+        print_json({"path": arguments.file, **document})
+    elif sentence:
+        print(sentence)
+
+
+def _sentence(intact: IntactLog) -> str:
+    return (
+        f"intact: {counted(intact.transitions, 'transition')}, {counted(intact.episodes, 'ended episode')}, "
+        f"{counted(intact.metrics, 'message')} of metrics"
+    )
+
+
+def _recover(arguments: argparse.Namespace) -> int:
     """Writes the new log and says what is in it."""
     recovery = recover(Path(arguments.file), Path(arguments.out), arguments.wanted)
     if arguments.json:
