@@ -80,11 +80,6 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], styles: dict[str, Look], st
         look, band = styles[curve.label], curve.band
         if curve.runs > 1:
             fill: dict[str, Any] = {"color": look.colour, "alpha": alpha, "linewidth": 0}
-                "color": look.colour,
-                "alpha": alpha,
-                "linewidth": 0,
-                "step": "post" if steps else None,
-            }
             axes.fill_between(curve.points, band.low, band.high, step="post" if steps else None, **fill)
         line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "linewidth": 1.6}
         axes.plot(curve.points, band.value, drawstyle="steps-post" if steps else "default", **line)

@@ -12,11 +12,7 @@ from tests.configs import compose
 pygame = pytest.importorskip("pygame", reason="the window needs pygame; pip install 'carrl[render]'")
 
 from carrl.cli import drive  # noqa: E402 (after the check for pygame)
-<<<<<<< HEAD
 from carrl.render.window import Window  # noqa: E402
-=======
-from carrl.render import raster as rendering  # noqa: E402
->>>>>>> main
 
 
 @pytest.fixture
