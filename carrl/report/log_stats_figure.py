@@ -97,13 +97,7 @@ def _draw_actions(axes: Axes, stats: LogStats) -> None:
     axes.barh(rows, shares, color=LIGHT.action_colours(len(shares)), height=0.55)
     for row, share in zip(rows, shares, strict=True):
         axes.annotate(
-            f"{100 * share:.0f} %",
-            (share, row),
-            (4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-            color=INK,
+            f"{100 * share:.0f} %", (share, row), (4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
         )
     axes.set_yticks(rows, stats.scene.action_names)
     axes.invert_yaxis()
