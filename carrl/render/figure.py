@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
@@ -13,7 +15,7 @@ from PIL import Image
 
 from carrl.files import write_whole
 from carrl.render import picture_format
-from carrl.render.canvas import Canvas, PixelCanvas
+from carrl.render.canvas import Area, Canvas, PixelCanvas, View
 from carrl.render.colours import FAINT, INK, PAPER
 
 WIDTH = 7.0
@@ -68,6 +70,19 @@ def save_drawing(path: str | Path, size: tuple[float, float], draw: Callable[[Ca
     write_whole(path, file.getvalue())
 
 
+def add_drawing(figure: Figure, axes: Axes, draw: Callable[[Canvas, View], None]) -> None:
+    """Draws on axes in metres, of equal scales, below everything else there; the units are points."""
+    axes.add_artist(_Drawing(lambda canvas: draw(canvas, _view_of(figure, axes))))
+
+
+def _view_of(figure: Figure, axes: Axes) -> View:
+    """What axes show, in points of their figure."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    box, (width, height) = axes.get_position(), 72 * figure.get_size_inches()
+    area = Area(box.x0 * width, (1 - box.y1) * height, box.width * width, box.height * height)
+    return View(area, np.array([left + right, bottom + top]) / 2, area.width / (right - left))
+
+
 class _Drawing(Artist):
     """A drawing as a part of one of Matplotlib's figures, whose units are points."""
 
@@ -76,4 +91,5 @@ class _Drawing(Artist):
         self._draw_on = draw
 
     def draw(self, renderer: RendererBase) -> None:
-        self._draw_on(Canvas(renderer))  # in PDF and SVG a pixel is a point
+        scale: Any = renderer.points_to_pixels(1)
+        self._draw_on(Canvas(renderer, float(scale)))
