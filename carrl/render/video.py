@@ -47,8 +47,6 @@ CLOSEST_SCALE = 11.0
 """When the camera follows the car, at most, units per metre."""
 RANGES_SEEN = 2.4
 """When the camera follows the car, it sees at least so many ranges of the sensor from top to bottom."""
-MOST_GATES = 1000
-"""That have a number."""
 TRAIL = 300
 """So many of the last steps are coloured by their action."""
 FLASH = 5
@@ -129,7 +127,7 @@ class WorldPicture:
         lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
         draw_ground(canvas, view, self._ground, FILM, lit)
         _draw_direction(canvas, view.places(self._ground.gates[-1]))
-        number_gates(canvas, view, self._ground.gates, 15, MOST_GATES, FAINT)
+        number_gates(canvas, view, self._ground.gates, 15, len(self._ground.gates), FAINT)
         self._draw_trail(canvas, view, step, pose)
         scene = self.trace.scene
         reaches = ranges / scene.sensor_range
