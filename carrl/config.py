@@ -24,6 +24,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "reward": tuple(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
     "start": ("carrl.task.start.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
+    "algorithm": ("carrl.algorithms.dqn.dqn.DQNRecipe",),
     "network": (
         "carrl.algorithms.common.network.make_q_network",
         "carrl.algorithms.common.network.make_dueling_network",

@@ -20,9 +20,8 @@ from carrl.printable import printable
 from carrl.task.world import World
 from carrl.tracks.circuits import Folder, load_folder
 from carrl.tracks.track import Track
-from carrl.train.build import build_world
+from carrl.train.build import build_world, load_greedy_policy
 from carrl.train.files import load_config, seed_folders
-from carrl.train.folder import load_greedy_policy
 from carrl.train.plan import checked_seed
 
 Laps = list[list[Drive]]

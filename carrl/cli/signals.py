@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from carrl.train.training import Training
+    from carrl.train.trainer import Trainer
 
 _SHOW_CURSOR = "\x1b[?25h"
 INTERRUPTED = 130
@@ -34,7 +34,7 @@ def let_go_of_closed_terminal() -> None:
 
 
 @contextmanager
-def stopping_on_signals(trainer: "Training") -> Iterator[None]:
+def stopping_on_signals(trainer: "Trainer") -> Iterator[None]:
     """Lets the first signal end the run with everything saved, and the second end the process at once.
 
     A second SIGHUP is passed over: a closing terminal sends it, and so does the shell in it.

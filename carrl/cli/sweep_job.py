@@ -21,7 +21,7 @@ from carrl.train.inputs import check_inputs, checksums
 from carrl.train.lock import locked
 from carrl.train.resumption import resumed_state
 from carrl.train.sweep import JobNote, JobState, SweepFolder, read_summaries
-from carrl.train.training import Training
+from carrl.train.trainer import Trainer
 
 _LOOKS_EVERY_S = 1.0
 
@@ -73,7 +73,7 @@ class _Obedient(Silence):
     def __init__(self, folder: SweepFolder) -> None:
         self._folder, self._looked_at = folder, time.monotonic()
 
-    def __call__(self, trainer: Training) -> None:
+    def __call__(self, trainer: Trainer) -> None:
         if time.monotonic() >= self._looked_at + _LOOKS_EVERY_S:
             self._looked_at = time.monotonic()
             if self._folder.is_to_stop:

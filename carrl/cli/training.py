@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +12,20 @@ from torchrl import logger as torchrl_logger
 
 from carrl.cli.road_warning import warn_of_roads
 from carrl.cli.signals import stopping_on_signals
-from carrl.cli.text.console import Display, OfflineDisplay, Silence, TrainingDisplay, print_summaries, print_summary
+from carrl.cli.text.console import Silence, TrainingDisplay, print_summaries, print_summary
 from carrl.config import build_node, is_whole_number
+from carrl.data.source import Source
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
 from carrl.task.world import World
-from carrl.train.agent_run import AgentRun
-from carrl.train.build import Learning, Pipeline, build_offline_pipeline, build_pipeline, learns_from_logs
+from carrl.train.build import Pipeline, build_pipeline, logs_of
+from carrl.train.checkpoint import StateFile
 from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
 from carrl.train.folder import RunFolder, check_tables
 from carrl.train.inputs import Inputs, check_inputs, checksums
-from carrl.train.offline_folder import OfflineRunFolder
-from carrl.train.offline_trainer import OfflineTrainer
 from carrl.train.provenance import describe_run
+from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
-from carrl.train.state_file import StateFile
-from carrl.train.summary import summarise
 from carrl.train.trainer import Trainer
 
 Config = dict[str, Any]
@@ -36,18 +33,8 @@ MOST_THREADS = 1024
 """More than any machine has cores; torch takes no number of more than 31 bits."""
 
 
-@dataclass(frozen=True)
-class Session:
-    """What learns, what trains it, what shows how it goes, and what else to note of it."""
-
-    learning: Learning
-    trainer: Trainer | OfflineTrainer
-    display: Display[Any]
-    context: Mapping[str, Any] = field(default_factory=dict)
-
-
 def train(
-    config: Config, path: Path, state: dict[str, Any] | None = None, display: Display[Any] | Silence | None = None
+    config: Config, path: Path, state: dict[str, Any] | None = None, display: TrainingDisplay | Silence | None = None
 ) -> list[dict[str, Any]]:
     """Trains, leaves the results in the run's folder, and returns every agent's summary.
 
@@ -64,30 +51,32 @@ def train(
     torchrl_logger.setLevel("WARNING")
     torch.set_num_threads(_checked_threads(config["threads"]))
     with _naming_exhaustion(), ExitStack() as stack:
-        prepare = _prepare_offline if learns_from_logs(config) else _prepare
         try:
-            session = prepare(config, path, state, stack)
-        except (KeyError, TypeError, IndexError, AttributeError) as error:
+            trainer = _prepare(config, path, state, stack)
+        except KeyError as error:  # of the log's own part of the state
             if state is None:
                 raise
             raise CheckpointError(f"run '{path}': the state does not fit the run's configuration: {error}") from error
         if state is not None:
-            session.trainer.load_state_dict(state)
-        warn_of_roads(session.learning.world.circuits.all, session.learning.world)
-        shown = display or session.display
-        with stopping_on_signals(session.trainer), shown, suppress(KeyboardInterrupt):
-            session.trainer.run(shown)
-        summaries = _write_summaries(session)
-    if session.trainer.stopping:
+            trainer.load_state_dict(state)
+        world = trainer.pipeline.world
+        warn_of_roads(world.circuits.all, world)
+        shown = display or TrainingDisplay()
+        with stopping_on_signals(trainer), shown, suppress(KeyboardInterrupt):
+            trainer.run(shown)
+        summaries = trainer.summaries()
+        for run, summary in zip(trainer.runs, summaries, strict=True):
+            run.folder.write_summary(summary)
+    if trainer.stopping:
         if display is None:
             print(f"interrupted; everything is saved: go on with carrl train resume={path}")
         raise KeyboardInterrupt
-    for run in session.trainer.runs:
-        if isinstance(session.trainer, Trainer):
+    for run in trainer.runs:
+        if trainer.source.transitions is None:
             _draw_learning_curve(run)
-        _draw_lap(session.learning.world, run)
+        _draw_lap(world, run)
     if display is None:
-        _print(summaries, session, path)
+        _print(summaries, trainer, path)
     return summaries
 
 
@@ -102,59 +91,43 @@ def _checked_threads(threads: Any) -> int:
     return int(threads)
 
 
-def _print(summaries: list[dict[str, Any]], session: Session, path: Path) -> None:
-    if session.learning.plan.seeds is None:
+def _print(summaries: list[dict[str, Any]], trainer: Trainer, path: Path) -> None:
+    if trainer.pipeline.plan.seeds is None:
         print_summary(summaries[0], path)
     else:
         print_summaries(summaries, path)
 
 
-def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
-    """A training run in the simulator, its folders opened."""
+def _prepare(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Trainer:
+    """A training run, its folders opened."""
     pipeline = build_pipeline(config)
-    inputs = checksums(pipeline.world.circuits)
+    inputs = checksums(pipeline.world.circuits, logs_of(config))
     _check_is_as_left(path, config, pipeline, inputs, state)
     _write_config(path, config)
     plan, folders = pipeline.plan, []
     state_file = StateFile(path, config, plan.checkpoint_interval, inputs)
-    for index, agent in enumerate(pipeline.agents):
-        own_path, own_config = _folder_of(path, config, agent.seed)
+    for index, seed in enumerate(pipeline.algorithm.seeds):
+        own_path, own_config = _folder_of(path, config, seed)
         own_state, scalars = state["folders"][index] if state else None, _open_scalars(own_path, own_config)
-        log = _open_log(own_path, own_config, pipeline, agent.seed, own_state, state_file)
+        log = _open_log(own_path, own_config, pipeline.source, seed, own_state, state_file)
         if log is not None:
             stack.enter_context(log)  # which completes it where the folder is refused
         folders.append(stack.enter_context(RunFolder(own_path, log, own_state, scalars)))
-    trainer = Trainer(pipeline, folders, state_file)
-    return Session(pipeline, trainer, TrainingDisplay(plan.frames, plan.episodes))
-
-
-def _prepare_offline(config: Config, path: Path, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
-    """A training run on logs, its folders opened."""
-    pipeline = build_offline_pipeline(config)
-    inputs = checksums(pipeline.world.circuits, pipeline.offline_plan.paths)
-    _check_is_as_left(path, config, pipeline, inputs, state)
-    _write_config(path, config)
-    state_file = StateFile(path, config, pipeline.plan.checkpoint_interval, inputs)
-    folders = []
-    for index, agent in enumerate(pipeline.agents):
-        own_path, own_config = _folder_of(path, config, agent.seed)
-        own_state, scalars = state["folders"][index] if state else None, _open_scalars(own_path, own_config)
-        folders.append(stack.enter_context(OfflineRunFolder(own_path, state=own_state, scalars=scalars)))
-    trainer = OfflineTrainer(pipeline, folders, state_file)
-    transitions = len(pipeline.replay_buffer)
-    display = OfflineDisplay(pipeline.offline_plan.updates, transitions)
-    return Session(pipeline, trainer, display, {"transitions": transitions})
+    return Trainer(pipeline, folders, state_file)
 
 
 def _check_is_as_left(
-    path: Path, config: Config, learning: Learning, inputs: Inputs, state: Mapping[str, Any] | None
+    path: Path, config: Config, pipeline: Pipeline, inputs: Inputs, state: Mapping[str, Any] | None
 ) -> None:
     """Refuses, before anything is written, what is not as the state's run had it."""
     if state is None:
         return
     check_inputs(path, state["inputs"], inputs)
-    for index, agent in enumerate(learning.agents):
-        check_tables(_path_of(path, config, agent.seed), state["folders"][index])
+    seeds = pipeline.algorithm.seeds
+    if len(state["folders"]) != len(seeds):
+        raise CheckpointError(f"run '{path}': the state does not fit the run's configuration: it has other seeds")
+    for seed, own in zip(seeds, state["folders"], strict=True):
+        check_tables(_path_of(path, config, seed), own)
 
 
 def _path_of(path: Path, config: Config, seed: int) -> Path:
@@ -182,11 +155,11 @@ def _write_config(path: Path, config: Config) -> None:
 
 
 def _open_log(
-    path: Path, config: Config, pipeline: Pipeline, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
+    path: Path, config: Config, source: Source, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
 ) -> LogWriter | None:
-    if not config.get("recorder"):
+    env = source.env
+    if not config.get("recorder") or env is None:
         return None
-    env, agents = pipeline.env, len(pipeline.agents)
     log: LogWriter = build_node(
         "recorder",
         config["recorder"],
@@ -198,7 +171,7 @@ def _open_log(
                 for index, track in enumerate(env.tracks)
             },
         },
-        metadata=describe_run(env, seed, env.batch_size[0] // agents),
+        metadata=describe_run(env, seed, source.cars),
         state=state["log"] if state else None,
         make_room=state_file.make_room,
     )
@@ -214,14 +187,6 @@ def _open_scalars(path: Path, config: Config) -> Scalars | None:
 
 def _as_yaml(config: Config) -> str:
     return yaml.safe_dump(config, sort_keys=False)
-
-
-def _write_summaries(session: Session) -> list[dict[str, Any]]:
-    track, trainer = session.learning.world.circuits.name, session.trainer
-    summaries = [summarise(run, trainer, track=track, **session.context) for run in trainer.runs]
-    for run, summary in zip(trainer.runs, summaries, strict=True):
-        run.folder.write_summary(summary)
-    return summaries
 
 
 @contextmanager
@@ -244,14 +209,14 @@ def _exhausted() -> CarrlError:
     )
 
 
-def _draw_learning_curve(run: AgentRun) -> None:
+def _draw_learning_curve(run: ReplicateRun) -> None:
     from carrl.render.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
 
     first_lap = run.first_lap.episode if run.first_lap else None
     draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
 
 
-def _draw_lap(world: World, run: AgentRun) -> None:
+def _draw_lap(world: World, run: ReplicateRun) -> None:
     from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:

@@ -23,7 +23,7 @@ from carrl.cli.training import train
 from carrl.errors import CarrlError, ConfigError
 from carrl.train.lock import locked
 from carrl.train.new_folder import check_holds_no_run, make_new
-from carrl.train.objective import OBJECTIVES, Objective
+from carrl.train.replicate_run import OBJECTIVES, Objective
 from carrl.train.trainer import Trainer
 
 STUDY = "study.db"

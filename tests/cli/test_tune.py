@@ -10,7 +10,7 @@ from carrl.cli.main import main
 from carrl.cli.search_space import Choice, Range, parse_search_space
 from carrl.cli.tune import _read_by_training
 from carrl.errors import ConfigError
-from carrl.train.objective import OBJECTIVES
+from carrl.train.replicate_run import OBJECTIVES
 
 needs_optuna = pytest.mark.skipif(find_spec("optuna") is None, reason="optuna is absent: pip install 'carrl[tune]'")
 TINY = ["experiment=tune", "compile=false", "track=oval", "trainer.seeds=null", "trainer.frames=32"]

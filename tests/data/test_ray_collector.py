@@ -63,7 +63,7 @@ def killed(tmp_path_factory):
     killed = Killed(tmp_path_factory.mktemp("killed") / "run")
 
     def kill_a_worker(display, trainer):
-        killed.networks.append(copy.deepcopy(trainer.runs[0].agent.network))
+        killed.networks.append(copy.deepcopy(trainer.runs[0].network))
         if trainer.frames != KILLED_AT:
             return
         killed.processes = descendants(os.getpid())

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.cli.text.console import OfflineDisplay
+from carrl.cli.text.console import TrainingDisplay
 from carrl.log import load
 from carrl.train.checkpoint import save_checkpoint
 from tests.stopped_runs import (
@@ -108,7 +108,7 @@ def test_learning_from_a_log_is_resumed_bit_for_bit(never_stopped, tmp_path, mon
     whole = train(tmp_path / "whole", *overrides)
     run = tmp_path / "run"
     with monkeypatch.context() as patches:
-        patches.setattr(OfflineDisplay, "__call__", lambda display, trainer: trainer.stop())
+        patches.setattr(TrainingDisplay, "__call__", lambda display, trainer: trainer.stop())
         assert main(["train", *overrides, f"hydra.run.dir={run}"]) == 130
     assert main(["train", f"resume={run}"]) == 0
     assert (run / "checkpoints" / "last.pt").read_bytes() == (whole / "checkpoints" / "last.pt").read_bytes()
@@ -211,7 +211,7 @@ def test_a_state_that_no_such_run_can_have_is_refused(break_it, stopped, capsys)
     elif break_it == "cars":
         state["cars"]["next_gate"][:] = 10**9
     elif break_it == "network":
-        state["learner"]["agents"][0]["loss"] = {}
+        state["algorithm"]["replicates"][0]["loss"] = {}
     elif break_it == "folders":
         del state["folders"]
     elif break_it == "log":

@@ -1,11 +1,10 @@
 """What a run shows on the terminal: its progress, and a table at the end."""
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -17,14 +16,11 @@ from rich.text import Text
 from carrl.cli.text.terminal_table import print_table
 from carrl.printable import printable
 from carrl.report.summary_file import missing_lap
-from carrl.train.agent_run import RECENT_EPISODES
-from carrl.train.offline_trainer import OfflineTrainer
+from carrl.train.replicate_run import RECENT_EPISODES
 from carrl.train.trainer import Trainer
 
-T = TypeVar("T")
 
-
-class Display(ABC, Generic[T]):
+class TrainingDisplay:
     """A live progress bar with figures below it; use it in a `with` statement and call it after every round."""
 
     def __init__(self) -> None:
@@ -48,22 +44,14 @@ class Display(ABC, Generic[T]):
         if not self._console.is_terminal:  # where rich leaves out the last line's end
             self._console.print()
 
-    def __call__(self, trainer: T) -> None:
+    def __call__(self, trainer: Trainer) -> None:
         """Moves the bar and the figures on."""
-        self._bar.update(self._task, completed=min(self.done(trainer), 1.0))
-        self._figures.plain = self.figures(trainer)
-
-    @abstractmethod
-    def done(self, trainer: T) -> float:
-        """The share of the training that is done; 1 or more at its end."""
-
-    @abstractmethod
-    def figures(self, trainer: T) -> str:
-        """How it goes, in two lines."""
+        self._bar.update(self._task, completed=min(trainer.share_done, 1.0))
+        self._figures.plain = _figures(trainer) if trainer.source.transitions is None else _figures_of_logs(trainer)
 
 
 class Silence:
-    """Shows nothing, where many runs share a terminal; used as a `Display` is."""
+    """Shows nothing, where many runs share a terminal; used as a `TrainingDisplay` is."""
 
     def __enter__(self) -> Self:
         """Does nothing."""
@@ -78,53 +66,30 @@ class Silence:
         """Does nothing."""
 
 
-class TrainingDisplay(Display[Trainer]):
-    """Shows how training in the simulator goes."""
-
-    def __init__(self, frames_limit: int, episodes_limit: int) -> None:
-        super().__init__()
-        self._frames_limit, self._episodes_limit = frames_limit, episodes_limit
-
-    def done(self, trainer: Trainer) -> float:
-        """By env steps or episodes, whichever limit is nearer."""
-        episodes = min(run.episodes for run in trainer.runs)  # the run that ends last
-        return max(trainer.frames / self._frames_limit, episodes / self._episodes_limit)
-
-    def figures(self, trainer: Trainer) -> str:
-        """Env steps, episodes, laps and returns."""
-        runs = trainer.runs
-        recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
-        mean_return = sum(recent) / len(recent) if recent else math.nan
-        rate = sum(run.moment.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
-        return (
-            f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
-            f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
-            f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · "
-            f"epsilon {runs[0].moment.epsilon:.2f} · {_laps_so_far(trainer)}"
-        )
+def _figures(trainer: Trainer) -> str:
+    """Env steps, episodes, laps and returns."""
+    runs = trainer.runs
+    recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
+    mean_return = sum(recent) / len(recent) if recent else math.nan
+    rate = sum(run.status.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
+    own = "".join(f"{name} {value:.2f} · " for name, value in runs[0].status.figures.items())
+    return (
+        f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
+        f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
+        f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · {own}{_laps_so_far(trainer)}"
+    )
 
 
-class OfflineDisplay(Display[OfflineTrainer]):
-    """Shows how learning from logs goes."""
-
-    def __init__(self, updates_limit: int, transitions: int) -> None:
-        super().__init__()
-        self._updates_limit, self._transitions = updates_limit, transitions
-
-    def done(self, trainer: OfflineTrainer) -> float:
-        """By updates."""
-        return trainer.updates / self._updates_limit
-
-    def figures(self, trainer: OfflineTrainer) -> str:
-        """Updates, and the loss of the agents' last minibatches."""
-        agents = len(trainer.runs)
-        rate = trainer.updates * agents / max(trainer.wall_time_s, 1e-9)
-        loss = sum(run.moment.loss for run in trainer.runs) / agents
-        each = "" if agents == 1 else f" of each of {agents} agents"
-        return (
-            f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
-            f"  {self._transitions:,} transitions from logs · loss {loss:.1f}"
-        )
+def _figures_of_logs(trainer: Trainer) -> str:
+    """Updates, and the loss of the replicates' last minibatches."""
+    count = len(trainer.runs)
+    rate = trainer.updates * count / max(trainer.wall_time_s, 1e-9)
+    loss = sum(run.status.loss for run in trainer.runs) / count
+    each = "" if count == 1 else f" of each of {count} agents"
+    return (
+        f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
+        f"  {trainer.source.transitions:,} transitions from logs · loss {loss:.1f}"
+    )
 
 
 def print_summary(summary: Mapping[str, Any], folder: Path) -> None:
