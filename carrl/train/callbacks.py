@@ -12,8 +12,8 @@ from tensordict import TensorDictBase
 
 from carrl.data.replay_buffer import KEYS
 from carrl.data.source import Round
+from carrl.evaluation.results import Trial
 from carrl.evaluation.rollout import rollout
-from carrl.evaluation.trial import Trial
 from carrl.log.messages import Metrics
 from carrl.log.schema import COLUMNS
 from carrl.sim.simulator import Simulator

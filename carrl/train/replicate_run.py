@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from torch import nn
 
-from carrl.evaluation.trial import Trial
+from carrl.evaluation.results import Trial
 from carrl.log.messages import Episode
 from carrl.train.checkpoint import check_fits
 from carrl.train.folder import RunFolder

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.evaluation.trial import Trial
+from carrl.evaluation.results import Trial
 from carrl.sim.simulator import Simulator
 from carrl.task.task import Task
 from carrl.train.callbacks import Evaluator
