@@ -74,8 +74,8 @@ class ReplicateRun:
     Attributes:
         status: the latest that it was told; that of its end once it is over.
         first_lap: None until it is confirmed.
-        best: its best evaluation.
-        last: its latest evaluation.
+        best: its best evaluation, with the trajectory that `lap.png` shows.
+        last: its latest evaluation, without trajectories.
     """
 
     def __init__(self, seed: int, network: nn.Module, folder: RunFolder) -> None:
@@ -151,13 +151,13 @@ class ReplicateRun:
     def add_evaluation(self, evaluation: Trial, status: TrainingStatus) -> None:
         """Notes drives without exploration, and keeps the network that drove them and the best one so far."""
         self.status = status
-        self.last = evaluation
+        self.last = evaluation.with_trajectory(False)
         if self.first_lap is None:
             self._seek_first_lap(evaluation, status)
         self.folder.add_evaluation(evaluation.measures(), status.frames, self.episodes)
         self.keep_network("last")
         if self.best is None or evaluation.quality > self.best.quality:
-            self.best = evaluation
+            self.best = evaluation.with_trajectory(True)
             self.keep_network("best")
 
     def _seek_first_lap(self, evaluation: Trial, status: TrainingStatus) -> None:
