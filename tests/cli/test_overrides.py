@@ -7,11 +7,11 @@ import sys
 import pytest
 import yaml
 
-from carrl.cli.known_keys import PLAIN_KEYS, nearest_keys, real_keys
 from carrl.cli.main import main
-from carrl.cli.overrides import name_files, quote, readable_overrides, sort_arguments, unquote
 from carrl.config import TARGETS, config_dir
 from carrl.errors import ConfigError
+from carrl.train.composition import PLAIN_KEYS, nearest_keys, real_keys
+from carrl.train.overrides import name_files, quote, readable_overrides, sort_arguments, unquote
 from tests.configs import compose
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=16"]

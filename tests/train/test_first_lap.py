@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from carrl.cli.text.console import print_summaries, print_summary
-from carrl.cli.text.sweep import _figures, _result
+from carrl.cli.text.many_runs import _figures, _result
 from carrl.evaluation.rollout import drive, rule_policy
 from carrl.evaluation.trial import Trial
 from carrl.report.findings import find

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.cli.text.console import OfflineDisplay
+from carrl.cli.text.console import ProgressDisplay
 from carrl.log import load
 from carrl.train.checkpoint import save_checkpoint
 from tests.stopped_runs import (
@@ -108,7 +108,7 @@ def test_learning_from_a_log_is_resumed_bit_for_bit(never_stopped, tmp_path, mon
     whole = train(tmp_path / "whole", *overrides)
     run = tmp_path / "run"
     with monkeypatch.context() as patches:
-        patches.setattr(OfflineDisplay, "__call__", lambda display, trainer: trainer.stop())
+        patches.setattr(ProgressDisplay, "on_round", lambda display, trainer: trainer.stop())
         assert main(["train", *overrides, f"hydra.run.dir={run}"]) == 130
     assert main(["train", f"resume={run}"]) == 0
     assert (run / "checkpoints" / "last.pt").read_bytes() == (whole / "checkpoints" / "last.pt").read_bytes()

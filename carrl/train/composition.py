@@ -1,16 +1,23 @@
-"""The keys and options that there are, and which of them was meant by one that there is not."""
+"""From overrides to a configuration as plain values, and what was meant by a key or an option that there is not.
+
+Nothing here waits for torch, so that a misspelt key is answered at once.
+"""
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
-from hydra.errors import MissingConfigException
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from carrl.config import TARGETS, config_dir
-from carrl.errors import ConfigError, shown
+from carrl.config import TARGETS, config_dir, make_importable
+from carrl.errors import CLOSE, ConfigError, did_you_mean, shown
 from carrl.plain_yaml import parse_yaml
 
 PLAIN_KEYS = ("seed", "device", "resume", "compile", "threads", "search")
@@ -24,8 +31,53 @@ _OTHERS_CALL_IT = {
     "timesteps": "trainer.frames",
     "total_timesteps": "trainer.frames",
 }
-_CLOSE = 0.6
 _MOST = 3
+
+
+def composed(overrides: Sequence[str], own_folder: Path | None = None) -> dict[str, Any]:
+    """The resolved configuration with these overrides, as Hydra reads them.
+
+    Args:
+        overrides: such as `loss=dqn`.
+        own_folder: a folder of groups and experiments of one's own.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    own = [] if own_folder is None else [f"hydra.searchpath=[{quote(f'file://{own_folder.absolute()}')}]"]
+    try:
+        with initialize_config_dir(str(config_dir()), version_base="1.3"):
+            config = compose("train", [*overrides, *own])
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
+        raise ConfigError(explain(error)) from error
+    return plain(config, () if own_folder is None else (own_folder,))
+
+
+def plain(config: DictConfig, folders: Iterable[Path] = ()) -> dict[str, Any]:
+    """A composed configuration as plain values, checked: everything in it is read by something.
+
+    Args:
+        config: as Hydra composed it.
+        folders: where modules may lie, besides the current folder, whose parts it names.
+
+    Raises:
+        ConfigError: a value is missing or refers to none, or a key is known to nobody.
+    """
+    try:
+        missing = sorted(OmegaConf.missing_keys(config))
+        if missing:
+            raise ConfigError(f"{missing[0]} has no value; give it one, as in carrl train ... {missing[0]}=FILE")
+        values: dict[str, Any] = OmegaConf.to_container(config, resolve=True)  # type: ignore[assignment]
+    except OmegaConfBaseException as error:
+        raise ConfigError(explain(error)) from error
+    check_keys(values)
+    make_importable(values, folders)
+    return values
+
+
+def quote(text: str) -> str:
+    """The text such as Hydra reads it back, whatever is in it."""
+    return "'" + re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), text) + "'"
 
 
 def check_keys(config: Mapping[str, Any]) -> None:
@@ -83,12 +135,6 @@ def did_you_mean_key(key: str) -> str:
     return f"; did you mean {' or '.join(close)}?" if close else f"; carrl train --cfg {shows} shows all there are"
 
 
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The rest of a sentence that names the nearest of the names; nothing if none is near."""
-    close = difflib.get_close_matches(name, list(names), n=1, cutoff=_CLOSE)
-    return f"; did you mean {close[0]}?" if close else ""
-
-
 def nearest_keys(key: str) -> list[str]:
     """The real keys that may have been meant: those of the same last name, else those spelt most alike."""
     key = key.replace("-", "_").strip("+~ ")
@@ -102,7 +148,7 @@ def nearest_keys(key: str) -> list[str]:
         names = ((key, real), (last, real.rpartition(".")[2]))
         scores[real] = max(difflib.SequenceMatcher(None, *pair).ratio() for pair in names)
     best = max(scores.values())
-    found = [real for real, score in scores.items() if score == best] if best >= _CLOSE else []
+    found = [real for real, score in scores.items() if score == best] if best >= CLOSE else []
     return [real for real in found if "." not in real] or found[:_MOST]
 
 
