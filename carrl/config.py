@@ -46,8 +46,8 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.dqn.loss.make_dueling_loss",
         "carrl.algorithms.dqn.distributional_loss.make_distributional_loss",
     ),
-    "returns": ("carrl.data.returns.NStepReturns",),
-    "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.GradientClipping",),
+    "returns": ("carrl.data.returns.make_returns",),
+    "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.make_gradient_clipping",),
     "learning_rate": (
         "carrl.algorithms.common.learning_rate.LinearDecay",
         "carrl.algorithms.common.learning_rate.CosineDecay",

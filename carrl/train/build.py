@@ -27,7 +27,7 @@ from carrl.task.reward import Reward
 from carrl.task.world import World
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
-from carrl.train.combinations import check_offline, check_priorities
+from carrl.train.combinations import check_offline, check_priorities, has_n_step_returns
 from carrl.train.learner import Agent, Learner
 from carrl.train.plan import EvaluationPlan, OfflinePlan, TrainingPlan
 
@@ -122,10 +122,10 @@ def _build_collector(
         return build_node("collector", node, env=env, policy=policy)
     if len(learning.agents) != 1:
         raise ConfigError("collector=ray trains one agent; leave trainer.seeds out, or set collector=sync")
-    if config.get("returns"):
+    if has_n_step_returns(config):
         raise ConfigError(
             "collector=ray may break an episode off, which returns over several steps would join to the next; "
-            "set returns=one_step, or collector=sync"
+            "set returns.steps=1, or collector=sync"
         )
     parts = WorkerParts(
         make_env=partial(_build_workers_env, config, learning.world),

@@ -20,9 +20,15 @@ def check_priorities(loss: DQNLoss, buffer: TensorDictReplayBuffer) -> None:
         )
 
 
+def has_n_step_returns(config: Mapping[str, Any]) -> bool:
+    """Whether returns are over several steps."""
+    node = config.get("returns")
+    return isinstance(node, Mapping) and node.get("steps", 1) != 1
+
+
 def check_offline(config: Mapping[str, Any]) -> None:
     """Raises ConfigError if returns over several steps are to be learnt from a log."""
-    if config.get("returns"):
+    if has_n_step_returns(config):
         raise ConfigError(
-            "returns are over several steps, which a log may not have in full, and data is log; set returns=one_step"
+            "returns are over several steps, which a log may not have in full, and data is log; set returns.steps=1"
         )

@@ -22,7 +22,9 @@ from carrl.plain_yaml import parse_yaml
 
 PLAIN_KEYS = ("seed", "device", "resume", "compile", "threads", "search")
 """Keys of the configuration that are no groups."""
-MAY_BE_ABSENT = ("learning_rate", "gradient_clipping", "returns", "recorder", "logger", "data", "resume", "search")
+MAY_BE_EMPTY = ("learning_rate", "logger", "data")
+"""Groups of which an option may have no keys."""
+MAY_BE_ABSENT = (*MAY_BE_EMPTY, "gradient_clipping", "returns", "recorder", "resume", "search")
 _OTHERS_CALL_IT = {
     "learning_rate": "optimizer.lr",
     "batch": "replay_buffer.batch_size",
@@ -86,12 +88,21 @@ def check_keys(config: Mapping[str, Any]) -> None:
         if key not in TARGETS and key not in PLAIN_KEYS:
             name = next(iter(_leaves(str(key), value)))
             raise ConfigError(f"there is no key {shown_key(name)}{did_you_mean_key(name)}")
-        if key in MAY_BE_ABSENT and isinstance(value, Mapping) and value and key in TARGETS and "_target_" not in value:
+        if key in TARGETS and not isinstance(value, Mapping | None):
+            keys = [name for name in real_keys() if name.startswith(f"{key}.")]
+            leave = f", or {key}=null to leave it out" if key in MAY_BE_ABSENT else ""
+            raise ConfigError(
+                f"{key} is {shown(value)}, but it is made of keys; set {' or '.join(keys[:_MOST])}{leave}"
+            )
+        if key in MAY_BE_EMPTY and isinstance(value, Mapping) and value and "_target_" not in value:
             options = ", ".join(f"{key}={option}" for option in options_with(key, "_target_:"))
             raise ConfigError(f"{key}.{next(iter(value))} has no effect, as no {key} is chosen; add one of: {options}")
     for key in (*TARGETS, *PLAIN_KEYS):
         if key not in MAY_BE_ABSENT and config.get(key) is None:
-            remedy = f"choose {key}={'|'.join(options_with(key))}" if key in TARGETS else f"write {key}=VALUE"
+            options = options_with(key)
+            remedy = f"choose {key}={'|'.join(options)}" if options else f"write {key}=VALUE"
+            if key in TARGETS and not options:
+                remedy = f"do not delete it, nor write {key}=null"
             raise ConfigError(f"{key} is left out, but training needs it; {remedy}")
     if config.get("resume") is not None:
         run = shown(config["resume"])
@@ -162,6 +173,10 @@ def options_with(group: str, text: str = "") -> list[str]:
 def real_keys(only_group: str | None = None, only_option: str = "*") -> tuple[str, ...]:
     """All groups and keys, or those of one option, in the order of their names."""
     names = set() if only_group else {*PLAIN_KEYS, *TARGETS, "experiment"}
+    if only_group is None:
+        content = parse_yaml((config_dir() / "train.yaml").read_bytes())
+        nodes = {key: value for key, value in content.items() if key not in ("defaults", "hydra")}
+        names |= {name for key, value in nodes.items() for name in _leaves(key, value)}
     for file in (config_dir()).glob(f"{only_group or '*'}/{only_option}.yaml"):
         content, group = parse_yaml(file.read_bytes()) or {}, file.parent.name
         if "@package _global_" not in file.read_text():

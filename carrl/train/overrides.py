@@ -194,7 +194,7 @@ def check_is_read(overrides: Sequence[str], config: Mapping[str, Any]) -> None:
 
 
 def _leaves_out_log(override: "Override") -> bool:
-    return override.key_or_group == "recorder" and (override.is_delete() or override.value() == "none")
+    return override.key_or_group == "recorder" and (override.is_delete() or override.value() is None)
 
 
 def is_search(override: str) -> bool:
