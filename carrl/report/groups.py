@@ -9,7 +9,7 @@ from carrl.errors import CarrlError
 from carrl.report.choices import Choices, read_choices
 from carrl.report.reading import RunResult
 from carrl.report.runs import in_natural_order
-from carrl.train.files import load_config
+from carrl.train.files import read_config
 from carrl.train.plan import TrainingPlan
 
 ONLY_GROUP = "all runs"
@@ -74,7 +74,7 @@ def _planned_seeds(runs: Sequence[RunResult]) -> set[int]:
     configs = [run.config for run in runs]
     for folder in {run.folder.parent for run in runs if run.trained_with_others}:
         with suppress(CarrlError):
-            configs.append(load_config(folder))
+            configs.append(read_config(folder))
     seeds: set[int] = set()
     for config in configs:
         with suppress(CarrlError, TypeError, AttributeError):  # written by hand; the run itself would have been refused

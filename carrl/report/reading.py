@@ -10,7 +10,7 @@ from typing import Any
 from carrl.config import MOST
 from carrl.errors import CarrlError, CheckpointError
 from carrl.report.summary_file import read_summary
-from carrl.train.files import CONFIG, METRICS, SUMMARY, load_config, read_text
+from carrl.train.files import CONFIG, METRICS, SUMMARY, read_config, read_text
 
 FINISHED, INTERRUPTED, UNFINISHED, DAMAGED = "finished", "interrupted", "unfinished", "damaged"
 """How a run ended; only the finished count."""
@@ -86,7 +86,7 @@ def read_run(folder: Path, label: str) -> RunResult:
     """A run as far as it can be read; what cannot be is its `reason`, no error."""
     config: dict[str, Any] = {}
     try:
-        config = load_config(folder)
+        config = read_config(folder)
     except CarrlError as error:
         reason = _without_folder(error, folder)
         state = DAMAGED if (folder / SUMMARY).exists() else UNFINISHED

@@ -29,8 +29,6 @@ from carrl.train.learner import Learner
 from carrl.train.plan import EvaluationPlan, Limits, OfflinePlan, TrainingPlan
 
 Config = Mapping[str, Any]
-DEFAULT_ALGORITHM = {"_target_": "carrl.algorithms.dqn.dqn.DQNRecipe"}
-"""Of runs from before there was a choice."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +67,9 @@ def build_pipeline(config: Config) -> Pipeline:
     device = _checked_device(config["device"])
     compiled = _checked_flag("compile", config["compile"])
     offline: OfflinePlan | None = build_node("data", config["data"]) if learns_from_logs(config) else None
-    if offline and config.get("returns"):
+    if offline and _has_n_step_returns(config):
         raise ConfigError(
-            "returns are over several steps, which a log may not have in full, and data is log; set returns=one_step"
+            "returns are over several steps, which a log may not have in full, and data is log; set returns.steps=1"
         )
     plan: TrainingPlan = build_node("trainer", config["trainer"])
     seeds = plan.agent_seeds(config["seed"])
@@ -97,7 +95,7 @@ def build_pipeline(config: Config) -> Pipeline:
 
 
 def _recipe(config: Config) -> Recipe:
-    recipe: Recipe = build_node("algorithm", config.get("algorithm") or DEFAULT_ALGORITHM)
+    recipe: Recipe = build_node("algorithm", config.get("algorithm") or {})  # runs of earlier versions have none
     return recipe
 
 
@@ -137,15 +135,19 @@ def _build_simulated(config: Config, world: World, algorithm: Algorithm, buffer:
         seeds=algorithm.seeds,
         parts=parts,
     )
-    if not config.get("returns"):
-        return Simulated(env, collector, buffer, None)
-    if collector.may_break_off:
+    if collector.may_break_off and _has_n_step_returns(config):
         raise ConfigError(
             "collector=ray may break an episode off, which returns over several steps would join to the next; "
-            "set returns=one_step, or collector=sync"
+            "set returns.steps=1, or collector=sync"
         )
-    returns = build_node("returns", config["returns"], gamma=config["loss"]["gamma"])
+    node = config.get("returns")
+    returns = build_node("returns", node, gamma=config["loss"]["gamma"]) if node else None
     return Simulated(env, collector, buffer, returns)
+
+
+def _has_n_step_returns(config: Config) -> bool:
+    node = config.get("returns")
+    return isinstance(node, Mapping) and node.get("steps", 1) != 1
 
 
 def _build_env(config: Config, world: World, seeds: list[int], device: str, **changes: Any) -> TrackEnv:

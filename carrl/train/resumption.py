@@ -117,14 +117,16 @@ class Progress:
         return any(self.done[index][key] >= limit for key, limit in self.limits.items())
 
 
-def resume(run: Path, overrides: Sequence[str]) -> Resumption:
+def resume(run: Path, overrides: Sequence[str], trust: Sequence[str] = ()) -> Resumption:
     """The run with these overrides of its configuration, such as `trainer.frames=500000`.
+
+    Its configuration may name parts of the trusted modules.
 
     Raises:
         CarrlError: this is no run's folder, or one that cannot be resumed, or an override is none, not allowed or
             without effect.
     """
-    config = load_config(run)
+    config = load_config(run, trust)
     if not _has_state(run):
         _check_is_whole_run(run, config)
     changes = _parsed(run, overrides)

@@ -136,8 +136,8 @@ READ_BY_THE_SIMULATOR_ONLY = [
     "env.num_envs=4",
     "evaluation.interval=5",
     "collector.steps_per_batch=2",
-    "recorder=mcap",
-    "recorder.envs=2",
+    "recorder.every_nth_episode=1",
+    "start.anywhere=true",
 ]
 
 
@@ -154,7 +154,7 @@ def test_what_only_the_simulator_reads_is_refused_where_it_is_typed(
 
 
 def test_an_experiments_own_values_and_no_recorder_go_with_a_log(log_path, tmp_path):
-    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=none", "observation=rays"]
+    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=null", "observation=rays"]
     assert main(["train", *overrides, f"hydra.run.dir={tmp_path}"]) == 0
 
 

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from carrl.cli.main import main
-from carrl.cli.text.console import TrainingDisplay
+from carrl.cli.text.console import ProgressDisplay
 from carrl.errors import ConfigError
 from carrl.log import load, read_episodes, verify
 from carrl.train.build import build_pipeline
@@ -77,7 +77,7 @@ def killed(tmp_path_factory):
     handler.emit = lambda record: records.append(record.getMessage())
     logging.getLogger("carrl").addHandler(handler)
     with pytest.MonkeyPatch.context() as patches:
-        patches.setattr(TrainingDisplay, "__call__", kill_a_worker)
+        patches.setattr(ProgressDisplay, "on_round", kill_a_worker)
         assert main(["train", *OVERRIDES, f"hydra.run.dir={killed.run}"]) == 0
     logging.getLogger("carrl").removeHandler(handler)
     killed.warnings = "\n".join(records)

@@ -63,9 +63,9 @@ def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
 
 
 EVERYTHING = (
-    ("network=noisy", "replay_buffer=prioritized", "returns=n_step", "target_updater=soft"),
-    ("loss=distributional", "gradient_clipping=norm", "learning_rate=linear", "learning_rate.updates=100"),
-    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping=norm"),
+    ("network=noisy", "replay_buffer=prioritized", "returns.steps=3", "target_updater=soft"),
+    ("loss=distributional", "gradient_clipping.max_norm=10", "learning_rate=linear", "learning_rate.updates=100"),
+    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping.max_norm=10"),
     ("loss=advantage_learning", "replay_buffer=prioritized"),
 )
 

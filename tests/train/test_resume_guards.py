@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.cli.sweep_job import _train_or_go_on
+from carrl.cli.sweep import _train_or_go_on
 from carrl.errors import CheckpointError
 from carrl.files import open_itself
 from carrl.train.checkpoint import STATE, load_state, save_checkpoint

@@ -1,21 +1,30 @@
-"""The keys and options that there are, and which of them was meant by one that there is not."""
+"""From overrides to a configuration as plain values, and what was meant by a key or an option that there is not.
+
+Nothing here waits for torch, so that a misspelt key is answered at once.
+"""
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
-from hydra.errors import MissingConfigException
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from carrl.config import TARGETS, config_dir
-from carrl.errors import ConfigError, shown
+from carrl.config import TARGETS, config_dir, make_importable
+from carrl.errors import CLOSE, ConfigError, did_you_mean, shown
 from carrl.plain_yaml import parse_yaml
 
 PLAIN_KEYS = ("seed", "device", "resume", "compile", "threads", "search")
 """Keys of the configuration that are no groups."""
-MAY_BE_ABSENT = ("learning_rate", "gradient_clipping", "returns", "recorder", "logger", "data", "resume", "search")
+MAY_BE_EMPTY = ("learning_rate", "logger", "data")
+"""Groups of which an option may have no keys."""
+MAY_BE_ABSENT = (*MAY_BE_EMPTY, "gradient_clipping", "returns", "recorder", "resume", "search")
 _OTHERS_CALL_IT = {
     "learning_rate": "optimizer.lr",
     "batch": "replay_buffer.batch_size",
@@ -24,8 +33,53 @@ _OTHERS_CALL_IT = {
     "timesteps": "trainer.frames",
     "total_timesteps": "trainer.frames",
 }
-_CLOSE = 0.6
 _MOST = 3
+
+
+def composed(overrides: Sequence[str], own_folder: Path | None = None) -> dict[str, Any]:
+    """The resolved configuration with these overrides, as Hydra reads them.
+
+    Args:
+        overrides: such as `loss=dqn`.
+        own_folder: a folder of groups and experiments of one's own.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    own = [] if own_folder is None else [f"hydra.searchpath=[{quote(f'file://{own_folder.absolute()}')}]"]
+    try:
+        with initialize_config_dir(str(config_dir()), version_base="1.3"):
+            config = compose("train", [*overrides, *own])
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
+        raise ConfigError(explain(error)) from error
+    return plain(config, () if own_folder is None else (own_folder,))
+
+
+def plain(config: DictConfig, folders: Iterable[Path] = ()) -> dict[str, Any]:
+    """A composed configuration as plain values, checked: everything in it is read by something.
+
+    Args:
+        config: as Hydra composed it.
+        folders: where modules may lie, besides the current folder, whose parts it names.
+
+    Raises:
+        ConfigError: a value is missing or refers to none, or a key is known to nobody.
+    """
+    try:
+        missing = sorted(OmegaConf.missing_keys(config))
+        if missing:
+            raise ConfigError(f"{missing[0]} has no value; give it one, as in carrl train ... {missing[0]}=FILE")
+        values: dict[str, Any] = OmegaConf.to_container(config, resolve=True)  # type: ignore[assignment]
+    except OmegaConfBaseException as error:
+        raise ConfigError(explain(error)) from error
+    check_keys(values)
+    make_importable(values, folders)
+    return values
+
+
+def quote(text: str) -> str:
+    """The text such as Hydra reads it back, whatever is in it."""
+    return "'" + re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), text) + "'"
 
 
 def check_keys(config: Mapping[str, Any]) -> None:
@@ -34,12 +88,21 @@ def check_keys(config: Mapping[str, Any]) -> None:
         if key not in TARGETS and key not in PLAIN_KEYS:
             name = next(iter(_leaves(str(key), value)))
             raise ConfigError(f"there is no key {shown_key(name)}{did_you_mean_key(name)}")
-        if key in MAY_BE_ABSENT and isinstance(value, Mapping) and value and key in TARGETS and "_target_" not in value:
-            options = ", ".join(f"{key}={option}" for option in options_with(key, "_target_:"))
-            raise ConfigError(f"{key}.{next(iter(value))} has no effect, as no {key} is chosen; add one of: {options}")
+        if key in TARGETS and not isinstance(value, Mapping | None):
+            keys = [name for name in real_keys() if name.startswith(f"{key}.")]
+            leave = f", or {key}=null to leave it out" if key in MAY_BE_ABSENT else ""
+            raise ConfigError(
+                f"{key} is {shown(value)}, but it is made of keys; set {' or '.join(keys[:_MOST])}{leave}"
+            )
+        if key in MAY_BE_EMPTY and isinstance(value, Mapping) and value and "_target_" not in value:
+            choices = ", ".join(f"{key}={option}" for option in options_with(key, "_target_:"))
+            raise ConfigError(f"{key}.{next(iter(value))} has no effect, as no {key} is chosen; add one of: {choices}")
     for key in (*TARGETS, *PLAIN_KEYS):
         if key not in MAY_BE_ABSENT and config.get(key) is None:
-            remedy = f"choose {key}={'|'.join(options_with(key))}" if key in TARGETS else f"write {key}=VALUE"
+            options = options_with(key)
+            remedy = f"choose {key}={'|'.join(options)}" if options else f"write {key}=VALUE"
+            if key in TARGETS and not options:
+                remedy = f"do not delete it, nor write {key}=null"
             raise ConfigError(f"{key} is left out, but training needs it; {remedy}")
     if config.get("resume") is not None:
         run = shown(config["resume"])
@@ -83,12 +146,6 @@ def did_you_mean_key(key: str) -> str:
     return f"; did you mean {' or '.join(close)}?" if close else f"; carrl train --cfg {shows} shows all there are"
 
 
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The rest of a sentence that names the nearest of the names; nothing if none is near."""
-    close = difflib.get_close_matches(name, list(names), n=1, cutoff=_CLOSE)
-    return f"; did you mean {close[0]}?" if close else ""
-
-
 def nearest_keys(key: str) -> list[str]:
     """The real keys that may have been meant: those of the same last name, else those spelt most alike."""
     key = key.replace("-", "_").strip("+~ ")
@@ -102,7 +159,7 @@ def nearest_keys(key: str) -> list[str]:
         names = ((key, real), (last, real.rpartition(".")[2]))
         scores[real] = max(difflib.SequenceMatcher(None, *pair).ratio() for pair in names)
     best = max(scores.values())
-    found = [real for real, score in scores.items() if score == best] if best >= _CLOSE else []
+    found = [real for real, score in scores.items() if score == best] if best >= CLOSE else []
     return [real for real in found if "." not in real] or found[:_MOST]
 
 
@@ -116,6 +173,10 @@ def options_with(group: str, text: str = "") -> list[str]:
 def real_keys(only_group: str | None = None, only_option: str = "*") -> tuple[str, ...]:
     """All groups and keys, or those of one option, in the order of their names."""
     names = set() if only_group else {*PLAIN_KEYS, *TARGETS, "experiment"}
+    if only_group is None:
+        content = parse_yaml((config_dir() / "train.yaml").read_bytes())
+        nodes = {key: value for key, value in content.items() if key not in ("defaults", "hydra")}
+        names |= {name for key, value in nodes.items() for name in _leaves(key, value)}
     for file in (config_dir()).glob(f"{only_group or '*'}/{only_option}.yaml"):
         content, group = parse_yaml(file.read_bytes()) or {}, file.parent.name
         if "@package _global_" not in file.read_text():

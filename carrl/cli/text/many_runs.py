@@ -1,20 +1,41 @@
-"""What a sweep shows on the terminal: a line for each job that begins or ends, and a table at the end."""
+"""What many runs show on the terminal: a line for each that begins or ends, and a table at the end.
 
+SweepConsole tells of a sweep's jobs, TuningConsole of a study's trials. Nothing here waits for torch.
+"""
+
+import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
-from carrl.cli.text.terminal_table import print_table
 from carrl.printable import printable
 from carrl.report.summary_file import missing_lap
 from carrl.train.sweep import JobNote, SweepFolder, read_summaries
 
+FILE_WIDTH = 160
+"""Columns of a table that does not go to a terminal, whose width is unknown."""
+MOST_ROWS = 20
+"""Trials in a table."""
 _HEADER = ("job", "result", "laps", "first greedy lap", "progress", "reward", "forward", "time")
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints a table whose first column is text and whose others are figures."""
+    table = Table(title=escape(printable(title)), title_justify="left")
+    for index, name in enumerate(header):
+        table.add_column(name, justify="left" if index == 0 else "right", no_wrap=index == 0)
+    for row in rows:
+        table.add_row(*(escape(printable(cell)) for cell in row))
+    console = Console()
+    if not console.is_terminal:
+        console.width = FILE_WIDTH
+    console.print(table)
 
 
 class SweepConsole:
@@ -102,3 +123,81 @@ def _time(note: JobNote) -> str:
 
 def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+class TrialRow(NamedTuple):
+    """A trial that has ended.
+
+    Attributes:
+        number: from 0.
+        end: "complete", "given up" or "failed".
+        value: of one that is complete.
+        settings: what it drew.
+        seconds: that it took.
+        error: what ended it, if it failed.
+    """
+
+    number: int
+    end: str
+    value: float | None
+    settings: Mapping[str, str]
+    seconds: float
+    error: str | None
+
+
+class TuningConsole:
+    """Tells how tuning goes.
+
+    Args:
+        trials: how many there will be.
+        keys: what they draw.
+        maximizes: whether greater values are better.
+    """
+
+    def __init__(self, trials: int, keys: Sequence[str], maximizes: bool) -> None:
+        self._trials, self._keys, self._maximizes = trials, keys, maximizes
+        self._console = Console(stderr=True, soft_wrap=True, highlight=False)
+
+    def show_rest(self, rows: Sequence[TrialRow]) -> None:
+        """Prints what is still to come, once the first trials tell."""
+        if rows:
+            seconds = sum(row.seconds for row in rows) / len(rows) * (self._trials - len(rows))
+            self._console.print(f"      about {seconds / 60:.1f} min left")
+
+    def show(self, rows: Sequence[TrialRow]) -> None:
+        """Prints the latest trial."""
+        row = rows[-1]
+        settings = " ".join(f"{key}={_short(value)}" for key, value in row.settings.items())
+        told = row.error or ("given up, as it does worse than half of the others" if row.value is None else _value(row))
+        self._console.print(
+            escape(printable(f"[{len(rows)}/{self._trials}] {settings}: {told} after {row.seconds:.1f} s"))
+        )
+
+    def print_results(self, rows: Sequence[TrialRow]) -> None:
+        """Prints the trials, the best first, and how many were given up."""
+        if not rows:
+            return
+        ordered = sorted(rows, key=self._rank)
+        cells = [
+            (str(row.number), row.end, _value(row), *(_short(row.settings.get(key, "")) for key in self._keys))
+            for row in ordered[:MOST_ROWS]
+        ]
+        given_up = sum(row.end == "given up" for row in rows)
+        print_table(f"{len(rows)} trials, {given_up} given up early", ("trial", "end", "value", *self._keys), cells)
+
+    def _rank(self, row: TrialRow) -> float:
+        if row.value is None:
+            return math.inf
+        return -row.value if self._maximizes else row.value
+
+
+def _value(row: TrialRow) -> str:
+    return "" if row.value is None else f"{row.value:,.5g}" if abs(row.value) < 100 else f"{row.value:,.0f}"
+
+
+def _short(value: str) -> str:
+    """A number with four digits; other values as they are."""
+    try:
+        return f"{float(value):.4g}" if "." in value or "e" in value else value
+    except ValueError:
+        return value

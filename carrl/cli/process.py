@@ -1,6 +1,7 @@
-"""Standard output and standard error that may be full, closed, or no longer read."""
+"""This process: its output, which may be full, closed, or no longer read, and the signals that end it."""
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -8,6 +9,9 @@ from io import StringIO
 from typing import Any
 
 from carrl.errors import CarrlError
+
+INTERRUPTED = 130
+"""The exit code of an interrupted run."""
 
 
 class OutputClosedError(CarrlError):
@@ -85,3 +89,21 @@ def _discard(stream: Any) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+
+
+def heeded() -> list[signal.Signals]:
+    """The signals that end training, but for those that this process ignores, as SIGHUP under `nohup`."""
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return [each for each in signals if signal.getsignal(each) is not signal.SIG_IGN]
+
+
+def let_go_of_closed_terminal() -> None:
+    """Lets what would be printed on a terminal that is gone vanish, so that it does not end what is to be saved."""
+    for descriptor in (1, 2):
+        try:
+            os.write(descriptor, b"")
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, descriptor)
+            if nowhere != descriptor:
+                os.close(nowhere)

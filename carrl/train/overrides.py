@@ -10,20 +10,23 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from carrl.cli.known_keys import did_you_mean, nearest_keys, no_such_option, options_with
-from carrl.errors import ConfigError, shown
+from carrl.errors import ConfigError, did_you_mean, shown
+from carrl.train.composition import nearest_keys, no_such_option, options_with, quote
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
 
 SWITCHES = {"-h": "--help", "-m": "--multirun", "-r": "--run"}
+TRUST = "--trust"
+"""CarRL's own, with resume=: a module whose parts the run may name."""
 VALUED = {"-c": "--cfg", "-p": "--package", "-cp": "--config-path", "-cn": "--config-name", "-cd": "--config-dir"}
+_VALUED = (*VALUED.values(), TRUST)
 CHOICES = {
     "--cfg": ("job", "hydra", "all"),
     "--info": ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath"),
 }
-FLAGS = ("--resolve", "--info", *SWITCHES.values(), *VALUED.values())
-"""Those of Hydra's that `carrl train` takes, each in any place."""
+FLAGS = ("--resolve", "--info", *SWITCHES.values(), *_VALUED)
+"""Those that `carrl train` takes, each in any place."""
 _CARRLS = ("--version",)
 """Those that every verb of `carrl` takes."""
 _ALONE = ("--run", "--multirun", "--cfg", "--info")
@@ -73,9 +76,9 @@ def sort_arguments(argv: Sequence[str]) -> Arguments:
             continue
         flag, equals, value = argument.partition("=")
         flag = _SHORT.get(flag, flag)
-        if flag not in FLAGS or (equals and flag not in (*VALUED.values(), "--info")):
+        if flag not in FLAGS or (equals and flag not in (*_VALUED, "--info")):
             raise ConfigError(_unknown_flag(argument, rest))
-        if flag in VALUED.values() and not equals:
+        if flag in _VALUED and not equals:
             if not rest:
                 raise ConfigError(f"{flag} lacks its value; write {flag} {'|'.join(CHOICES.get(flag, ('VALUE',)))}")
             value = rest.pop(0)
@@ -110,19 +113,28 @@ def _check_flags(flags: Sequence[str]) -> None:
             raise ConfigError(f"{flag} has no effect without {other}; add {other} job, or leave {flag} out")
 
 
-def readable_overrides(overrides: Sequence[str], is_sweep: bool | None) -> list[str]:
+def readable_overrides(
+    overrides: Sequence[str], is_sweep: bool | None, verb: str = "carrl tune", folder_key: str = "--folder"
+) -> list[str]:
     """The overrides with their paths absolute and quoted where Hydra would misread them, each sure to be read.
 
     Args:
         overrides: as typed.
         is_sweep: whether there may be several values; None where there is nothing of Hydra's to set up either.
+        verb: what has nothing of Hydra's, for messages.
+        folder_key: how that names its folder.
 
     Raises:
         ConfigError: one cannot be read, or has no effect on what is run.
     """
     named = named_overrides(overrides)
     for parsed in map(_parsed, named):
-        _check_effect(parsed, is_sweep)
+        if is_sweep is None and re.match(r"hydra[./]", parsed.key_or_group):
+            raise ConfigError(
+                f"{parsed.input_line} has no effect on {verb}; leave it out ({folder_key} names the "
+                f"{'study' if verb == 'carrl tune' else 'run'}'s folder)"
+            )
+        _check_effect(parsed, is_sweep, searches=verb == "carrl tune")
         _check_folder(parsed)
         _check_option(parsed)
     return named
@@ -140,13 +152,11 @@ def named_overrides(overrides: Sequence[str]) -> list[str]:
     return named
 
 
-def _check_effect(override: "Override", is_sweep: bool | None) -> None:
+def _check_effect(override: "Override", is_sweep: bool | None, searches: bool) -> None:
     """Raises ConfigError for what only a sweep, or only a single run, would heed."""
     key, typed = override.key_or_group, str(override.input_line)
-    if is_sweep is not None and is_search(typed) and not override.is_delete():
+    if not (is_sweep is None and searches) and is_search(typed) and not override.is_delete():
         raise ConfigError(f"{typed} has no effect on carrl train; carrl tune searches")
-    if is_sweep is None and re.match(r"hydra[./]", key):
-        raise ConfigError(f"{typed} has no effect on carrl tune; leave it out (--folder names the study's folder)")
     is_added = override.is_add() or override.is_force_add()
     if is_added and key.startswith("hydra.") and not _HYDRA_TAKES.match(key):
         raise ConfigError(f"there is no key {key}; carrl train --cfg hydra shows all there are")
@@ -184,7 +194,7 @@ def check_is_read(overrides: Sequence[str], config: Mapping[str, Any]) -> None:
 
 
 def _leaves_out_log(override: "Override") -> bool:
-    return override.key_or_group == "recorder" and (override.is_delete() or override.value() == "none")
+    return override.key_or_group == "recorder" and (override.is_delete() or override.value() is None)
 
 
 def is_search(override: str) -> bool:
@@ -248,14 +258,9 @@ def _is_readable(text: str) -> bool:
     return True
 
 
-def _is_text(text: str) -> bool:
+def is_text(text: str) -> bool:
     """Whether Hydra reads the override's value as one text."""
     return _is_readable(text) and isinstance(OverridesParser.create().parse_override(text).value(), str)
-
-
-def quote(text: str) -> str:
-    """The text such as Hydra reads it back, whatever is in it."""
-    return "'" + re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), text) + "'"
 
 
 def unquote(value: str) -> str:
@@ -281,7 +286,7 @@ def name_files(argument: str) -> list[str]:
     if bare == "data.path" and value not in ("???", "[]"):
         is_list = value.startswith("[") and value.endswith("]") and not os.path.exists(value)
         return [f"{key}=[{_quote_paths(value[1:-1])}]" if is_list else f"{key}={_quote_paths(value)}"]
-    if (bare in _WHOLE and not _is_text(argument)) or (os.path.exists(value) and not _is_readable(argument)):
+    if (bare in _WHOLE and not is_text(argument)) or (os.path.exists(value) and not _is_readable(argument)):
         return [f"{key}={quote(unquote(value))}"]
     return [argument]
 
