@@ -17,6 +17,7 @@ from benchmarks.log_reading import READINGS, THROUGH_ALL
 from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.algorithms.common.network import make_q_network
+from carrl.data.episodes import EpisodeTracker
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.rollout import rule_policy
 from carrl.log import load
@@ -24,7 +25,6 @@ from carrl.log.messages import Episode
 from carrl.log.schema import COLUMNS
 from carrl.log.writer import LogWriter
 from carrl.task.start import Start
-from carrl.train.episodes import EpisodeTracker
 
 HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")
 CARS = 64

@@ -33,7 +33,7 @@ class Part:
 LOOP = "other"
 PARTS = (
     Part(LOOP, ("carrl/train/trainer.py:run",), ""),
-    Part("updates: native call", ("carrl/train/learner.py:__call__",), "updates: the rest"),
+    Part("updates: native call", ("carrl/algorithms/common/compiled_update.py:__call__",), "updates: the rest"),
     Part("updates: sampling", ("carrl/data/replay_buffer.py:sample",), "updates: the rest"),
     Part("updates: tracing, loading native code", ("carrl/train/learner.py:_try_to_compile",), "updates: the rest"),
     Part("updates: the rest", ("carrl/train/learner.py:learn",), LOOP),
@@ -46,8 +46,8 @@ PARTS = (
     Part("collector", ("torchrl/collectors/_single.py:iterator",), LOOP),
     Part("replay extend", ("torchrl/data/replay_buffers/replay_buffers/tensordict.py:extend",), LOOP),
     Part("recorder", ("carrl/train/folder.py:record",), LOOP),
-    Part("evaluation drives", ("carrl/train/trainer.py:_evaluate",), LOOP),
-    Part("episode accounting", ("carrl/train/episodes.py:follow", "carrl/train/agent_run.py:add_episodes"), LOOP),
+    Part("evaluation drives", ("carrl/train/callbacks.py:_evaluate",), LOOP),
+    Part("episode accounting", ("carrl/data/episodes.py:follow", "carrl/train/replicate_run.py:add_episodes"), LOOP),
 )
 """Edit this when a function moves; a name that is not in the profile is an error."""
 

@@ -28,6 +28,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "reward": tuple(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
     "start": ("carrl.task.start.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
+    "algorithm": ("carrl.algorithms.dqn.dqn.DQNRecipe",),
     "network": (
         "carrl.algorithms.common.network.make_q_network",
         "carrl.algorithms.common.network.make_dueling_network",
@@ -46,7 +47,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.dqn.loss.make_dueling_loss",
         "carrl.algorithms.dqn.distributional_loss.make_distributional_loss",
     ),
-    "returns": ("carrl.data.returns.make_returns",),
+    "returns": ("carrl.data.returns.NStepReturns",),
     "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.make_gradient_clipping",),
     "learning_rate": (
         "carrl.algorithms.common.learning_rate.LinearDecay",

@@ -29,15 +29,15 @@ def test_every_option_of_every_group_builds(leaf):
     if option == "ray":
         pytest.importorskip("ray", reason="clusters need it; pip install 'carrl[ray]'")
     pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
-    assert pipeline.env.batch_size[0] >= 1
-    pipeline.collector.shutdown()
+    assert pipeline.source.env.batch_size[0] >= 1
+    pipeline.source.collector.shutdown()
 
 
 def test_a_track_file_is_an_option_of_the_track_group(real_circuits):
     path = real_circuits / "Norisring.csv"
     pipeline = build_pipeline(compose("track=file", f"track.name_or_path='{path}'"))
     assert pipeline.world.track.name == "Norisring.csv"
-    pipeline.collector.shutdown()
+    pipeline.source.collector.shutdown()
 
 
 def test_the_default_is_table_i_of_the_paper():
@@ -67,7 +67,7 @@ def test_double_dqn_differs_from_dqn_by_the_loss_alone():
     dqn, double = compose(), compose("loss=double_dqn")
     assert double.pop("loss") == dqn.pop("loss") | {"double_dqn": True}
     assert dqn == double
-    assert build_pipeline(compose("loss=double_dqn")).agents[0].loss.double_dqn
+    assert build_pipeline(compose("loss=double_dqn")).algorithm.replicates[0].loss.double_dqn
 
 
 @pytest.mark.parametrize("leaf", LEAVES)

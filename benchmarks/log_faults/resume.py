@@ -16,8 +16,8 @@ from benchmarks.log_faults.same_run import RunContents, differences, read_run
 from benchmarks.log_faults.training import TrainingRun, run_path
 from carrl.cli.process import INTERRUPTED
 from carrl.errors import CarrlError
+from carrl.train.checkpoint import PREVIOUS, STATE
 from carrl.train.files import CONFIG, load_config
-from carrl.train.state_file import PREVIOUS, STATE
 
 LONGEST_EXIT_S = 5.0
 """How long a run may go on after SIGTERM."""

@@ -19,10 +19,10 @@ from carrl.cli.text.console import RoadWarning, StopOnSignals
 from carrl.cli.text.many_runs import TrialRow, TuningConsole
 from carrl.errors import CarrlError, ConfigError
 from carrl.train.composition import composed
-from carrl.train.experiment import Callback, Experiment
+from carrl.train.experiment import Experiment, Observer
 from carrl.train.new_folder import check_holds_no_run, locked, make_new
-from carrl.train.objective import OBJECTIVES, Objective
 from carrl.train.overrides import is_search, readable_overrides
+from carrl.train.replicate_run import OBJECTIVES, Objective
 
 STUDY = "study.db"
 WARM_UP_TRIALS, WARM_UP_EVALUATIONS = 4, 2
@@ -104,7 +104,7 @@ class Tuning:
         try:
             config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
-            pruning = PruningCallback(trial, self.objective, config)
+            pruning = PruningObserver(trial, self.objective, config)
             summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
                 [RoadWarning(), StopOnSignals(), pruning]
             )
@@ -125,7 +125,7 @@ class Tuning:
             study.tell(trial, pruning.value)
 
 
-class PruningCallback(Callback):
+class PruningObserver(Observer):
     """Follows a trial's greedy drives, and ends it as soon as its value is final, or the study's pruner gives it up."""
 
     def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, TrackError
-from carrl.evaluation.rollout import TIME_LIMIT_LAPS, Drive, drive
+from carrl.evaluation.results import Drive
+from carrl.evaluation.rollout import TIME_LIMIT_LAPS, drive
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import DiscreteActions

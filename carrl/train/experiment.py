@@ -12,24 +12,22 @@ import yaml
 from torchrl import logger as torchrl_logger
 
 from carrl.config import build_node, foreign_targets, is_whole_number, module_of
+from carrl.data.source import Source
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
 from carrl.task.world import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
-from carrl.train.agent_run import AgentRun
-from carrl.train.build import Learning, Pipeline, build_offline_pipeline, build_pipeline, learns_from_logs
+from carrl.train.build import Pipeline, build_pipeline, logs_of
+from carrl.train.checkpoint import StateFile
 from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
 from carrl.train.folder import RunFolder, check_tables
 from carrl.train.inputs import Inputs, check_inputs, checksums
 from carrl.train.new_folder import LOCK, check_holds_no_run, locked
-from carrl.train.offline_folder import OfflineRunFolder
-from carrl.train.offline_trainer import OfflineTrainer
 from carrl.train.provenance import describe_run
+from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
-from carrl.train.state_file import StateFile
-from carrl.train.summary import summarise
 from carrl.train.trainer import Trainer
 
 Config = dict[str, Any]
@@ -39,27 +37,13 @@ MOST_THREADS = 1024
 """More than any machine has cores; torch takes no number of more than 31 bits."""
 
 
-@dataclass(frozen=True)
-class Session:
-    """What learns, what trains it, and what else to note of it."""
+class Observer:
+    """Follows a training run from outside; override what is of use."""
 
-    learning: Learning
-    trainer: Trainer | OfflineTrainer
-    context: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def road_warning(self) -> str | None:
-        """One sentence if a track does not suit the car."""
-        return road_warning(self.learning.world.circuits.all, self.learning.world)
-
-
-class Callback:
-    """Follows a training run; override what is of use."""
-
-    def on_start(self, session: Session) -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Called once before the first round."""
 
-    def on_round(self, trainer: Trainer | OfflineTrainer) -> None:
+    def on_round(self, trainer: Trainer) -> None:
         """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
 
     def on_end(self) -> None:
@@ -80,7 +64,7 @@ class Experiment:
     folder: Path
     records: Mapping[str, str] = field(default_factory=dict)
 
-    def run(self, callbacks: Sequence[Callback] = ()) -> list[Summary]:
+    def run(self, observers: Sequence[Observer] = ()) -> list[Summary]:
         """Trains in a folder that holds no run yet; returns each replicate's summary.
 
         Raises:
@@ -89,9 +73,9 @@ class Experiment:
         with locked(self.folder):
             check_holds_no_run(self.folder)
             with self._leaving_nothing_if_refused():
-                return self.go_on(None, callbacks)
+                return self.go_on(None, observers)
 
-    def go_on(self, state: dict[str, Any] | None, callbacks: Sequence[Callback] = ()) -> list[Summary]:
+    def go_on(self, state: dict[str, Any] | None, observers: Sequence[Observer] = ()) -> list[Summary]:
         """Goes on with a run, whose folder must be locked, from its latest state; None if it has none yet.
 
         A run that was stopped early says so in its summaries, whose `finished` is false.
@@ -102,21 +86,20 @@ class Experiment:
         torchrl_logger.setLevel("WARNING")
         torch.set_num_threads(_checked_threads(self.config["threads"]))
         with _naming_exhaustion(), ExitStack() as stack:
-            prepare = self._prepare_offline if learns_from_logs(self.config) else self._prepare
             try:
-                session = prepare(state, stack)
-            except (KeyError, TypeError, IndexError, AttributeError) as error:
+                trainer = self._prepare(state, stack)
+            except KeyError as error:  # of the log's own part of the state
                 if state is None:
                     raise
                 raise CheckpointError(
                     f"run '{self.folder}': the state does not fit the run's configuration: {error}"
                 ) from error
             if state is not None:
-                session.trainer.load_state_dict(state)
-            _train(session, callbacks)
-            summaries = self._write_summaries(session)
-        if not session.trainer.stopping:
-            _draw(session)
+                trainer.load_state_dict(state)
+            _train(trainer, observers)
+            summaries = self._write_summaries(trainer)
+        if not trainer.stopping:
+            _draw(trainer)
         return summaries
 
     @contextmanager
@@ -132,45 +115,37 @@ class Experiment:
                     (self.folder / path).rmdir() if path == CONFIG.parent else (self.folder / path).unlink()
             raise
 
-    def _prepare(self, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
-        """A training run in the simulator, its folders opened."""
+    def _prepare(self, state: Mapping[str, Any] | None, stack: ExitStack) -> Trainer:
+        """The training, its folders opened."""
         pipeline = build_pipeline(self.config)
-        inputs = checksums(pipeline.world.circuits)
+        inputs = checksums(pipeline.world.circuits, logs_of(self.config))
         self._check_is_as_left(pipeline, inputs, state)
-        self._write_config()
+        _write(self.folder / CONFIG, as_yaml(self.config))
+        for name, text in self.records.items():
+            _write(self.folder / CONFIG.with_name(name), text)
         folders = []
         state_file = StateFile(self.folder, self.config, pipeline.plan.checkpoint_interval, inputs)
-        for index, agent in enumerate(pipeline.agents):
-            path, config = self._replicate(agent.seed)
+        for index, seed in enumerate(pipeline.algorithm.seeds):
+            path, config = self._replicate(seed)
             own_state, scalars = state["folders"][index] if state else None, _open_scalars(path, config)
-            log = _open_log(path, config, pipeline, agent.seed, own_state, state_file)
+            log = _open_log(path, config, pipeline.source, seed, own_state, state_file)
             if log is not None:
                 stack.enter_context(log)  # which completes it where the folder is refused
             folders.append(stack.enter_context(RunFolder(path, log, own_state, scalars)))
-        return Session(pipeline, Trainer(pipeline, folders, state_file))
+        return Trainer(pipeline, folders, state_file)
 
-    def _prepare_offline(self, state: Mapping[str, Any] | None, stack: ExitStack) -> Session:
-        """A training run on logs, its folders opened."""
-        pipeline = build_offline_pipeline(self.config)
-        inputs = checksums(pipeline.world.circuits, pipeline.offline_plan.paths)
-        self._check_is_as_left(pipeline, inputs, state)
-        self._write_config()
-        folders = []
-        state_file = StateFile(self.folder, self.config, pipeline.plan.checkpoint_interval, inputs)
-        for index, agent in enumerate(pipeline.agents):
-            path, config = self._replicate(agent.seed)
-            own_state, scalars = state["folders"][index] if state else None, _open_scalars(path, config)
-            folders.append(stack.enter_context(OfflineRunFolder(path, state=own_state, scalars=scalars)))
-        transitions = {"transitions": len(pipeline.replay_buffer)}
-        return Session(pipeline, OfflineTrainer(pipeline, folders, state_file), transitions)
-
-    def _check_is_as_left(self, learning: Learning, inputs: Inputs, state: Mapping[str, Any] | None) -> None:
+    def _check_is_as_left(self, pipeline: Pipeline, inputs: Inputs, state: Mapping[str, Any] | None) -> None:
         """Refuses, before anything is written, what is not as the state's run had it."""
         if state is None:
             return
         check_inputs(self.folder, state["inputs"], inputs)
-        for index, agent in enumerate(learning.agents):
-            check_tables(self._folder_of(agent.seed), state["folders"][index])
+        seeds = pipeline.algorithm.seeds
+        if len(state["folders"]) != len(seeds):
+            raise CheckpointError(
+                f"run '{self.folder}': the state does not fit the run's configuration: it has other seeds"
+            )
+        for seed, own in zip(seeds, state["folders"], strict=True):
+            check_tables(self._folder_of(seed), own)
 
     def _folder_of(self, seed: int) -> Path:
         """Where a replicate leaves its results: the run's own folder, or one below it where there are several."""
@@ -185,16 +160,10 @@ class Experiment:
         _write(path / CONFIG, as_yaml(config))
         return path, config
 
-    def _write_config(self) -> None:
-        _write(self.folder / CONFIG, as_yaml(self.config))
-        for name, text in self.records.items():
-            _write(self.folder / CONFIG.with_name(name), text)
-
-    def _write_summaries(self, session: Session) -> list[Summary]:
+    def _write_summaries(self, trainer: Trainer) -> list[Summary]:
         own = own_modules(self.config)
-        context = {"track": session.learning.world.circuits.name, **session.context, **({"trust": own} if own else {})}
-        summaries = [summarise(run, session.trainer, **context) for run in session.trainer.runs]
-        for run, summary in zip(session.trainer.runs, summaries, strict=True):
+        summaries = [{**summary, **({"trust": own} if own else {})} for summary in trainer.summaries()]
+        for run, summary in zip(trainer.runs, summaries, strict=True):
             run.folder.write_summary(summary)
         return summaries
 
@@ -225,21 +194,21 @@ def _phrases(track: Track, car: Car) -> list[str]:
     return [*([] if gap is None else [gap]), *unsuitable(track, car)]
 
 
-def _train(session: Session, callbacks: Sequence[Callback]) -> None:
+def _train(trainer: Trainer, observers: Sequence[Observer]) -> None:
     """Trains until the run is over or stopped."""
 
-    def on_round(trainer: Trainer | OfflineTrainer) -> None:
-        for callback in callbacks:
-            callback.on_round(trainer)
+    def on_round(trainer: Trainer) -> None:
+        for observer in observers:
+            observer.on_round(trainer)
 
     with ExitStack() as stack:
-        for callback in callbacks:
-            stack.callback(callback.on_end)
-            callback.on_start(session)
+        for observer in observers:
+            stack.callback(observer.on_end)
+            observer.on_start(trainer)
         try:
-            session.trainer.run(on_round)
+            trainer.run(on_round)
         except KeyboardInterrupt:  # how `interrupt` ends a compilation
-            if not session.trainer.stopping:
+            if not trainer.stopping:
                 raise
 
 
@@ -263,11 +232,11 @@ def _write(path: Path, text: str) -> None:
 
 
 def _open_log(
-    path: Path, config: Config, pipeline: Pipeline, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
+    path: Path, config: Config, source: Source, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
 ) -> LogWriter | None:
-    if not config.get("recorder"):
+    env = source.env
+    if not config.get("recorder") or env is None:
         return None
-    env, agents = pipeline.env, len(pipeline.agents)
     log: LogWriter = build_node(
         "recorder",
         config["recorder"],
@@ -279,7 +248,7 @@ def _open_log(
                 for index, track in enumerate(env.tracks)
             },
         },
-        metadata=describe_run(env, seed, env.batch_size[0] // agents),
+        metadata=describe_run(env, seed, source.cars),
         state=state["log"] if state else None,
         make_room=state_file.make_room,
     )
@@ -318,21 +287,21 @@ def _exhausted() -> CarrlError:
     )
 
 
-def _draw(session: Session) -> None:
-    for run in session.trainer.runs:
-        if isinstance(session.trainer, Trainer):
+def _draw(trainer: Trainer) -> None:
+    for run in trainer.runs:
+        if trainer.source.transitions is None:
             _draw_learning_curve(run)
-        _draw_lap(session.learning.world, run)
+        _draw_lap(trainer.pipeline.world, run)
 
 
-def _draw_learning_curve(run: AgentRun) -> None:
+def _draw_learning_curve(run: ReplicateRun) -> None:
     from carrl.render.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
 
     first_lap = run.first_lap.episode if run.first_lap else None
     draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
 
 
-def _draw_lap(world: World, run: AgentRun) -> None:
+def _draw_lap(world: World, run: ReplicateRun) -> None:
     from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:

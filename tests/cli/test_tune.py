@@ -10,7 +10,7 @@ from carrl.cli.main import main
 from carrl.cli.search_space import Choice, Range, parse_search_space
 from carrl.cli.tune import _read_by_training
 from carrl.errors import ConfigError
-from carrl.train.objective import OBJECTIVES
+from carrl.train.replicate_run import OBJECTIVES
 
 needs_optuna = pytest.mark.skipif(find_spec("optuna") is None, reason="optuna is absent: pip install 'carrl[tune]'")
 TINY = ["experiment=tune", "compile=false", "track=oval", "trainer.seeds=null", "trainer.frames=32"]
@@ -97,10 +97,10 @@ class Training:
 
 @pytest.fixture
 def judge_of():
-    from carrl.cli.tune import PruningCallback
+    from carrl.cli.tune import PruningObserver
 
     config = {"trainer": {"frames": 1000}, "evaluation": {"interval": 250}}
-    return lambda trial, objective="first_lap": PruningCallback(trial, OBJECTIVES[objective], config)
+    return lambda trial, objective="first_lap": PruningObserver(trial, OBJECTIVES[objective], config)
 
 
 def test_a_hopeless_trial_is_stopped(judge_of):

@@ -63,7 +63,7 @@ def killed(tmp_path_factory):
     killed = Killed(tmp_path_factory.mktemp("killed") / "run")
 
     def kill_a_worker(display, trainer):
-        killed.networks.append(copy.deepcopy(trainer.runs[0].agent.network))
+        killed.networks.append(copy.deepcopy(trainer.runs[0].network))
         if trainer.frames != KILLED_AT:
             return
         killed.processes = descendants(os.getpid())
@@ -187,7 +187,7 @@ def test_a_run_on_a_running_cluster_is_reproducible_and_is_resumed_with_new_epis
 
 @needs_ray
 def test_an_address_where_nothing_answers_is_refused():
-    batches = iter(build_pipeline(compose("collector=ray", "collector.address='127.0.0.1:1'")).collector)
+    batches = iter(build_pipeline(compose("collector=ray", "collector.address='127.0.0.1:1'")).source.collector)
     with pytest.raises(ConfigError, match=r"collector.address is '127.0.0.1:1', where no Ray cluster answers"):
         next(batches)
 

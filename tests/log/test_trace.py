@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import carrl
+from carrl.data.episodes import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Log, read_trace
 from carrl.log.messages import Episode
@@ -15,7 +16,6 @@ from carrl.log.scene import Scene, TrackShape
 from carrl.log.schema import COLUMNS
 from carrl.log.trace import read_scene
 from carrl.log.writer import LogWriter
-from carrl.train.episodes import EpisodeTracker
 from carrl.train.provenance import describe_run, scene_of
 
 

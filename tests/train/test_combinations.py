@@ -54,8 +54,8 @@ def test_all_of_them_at_once_train_and_are_evaluated(tmp_path, capsys):
 @pytest.mark.parametrize("option", ["target_updater=soft", "exploration=linear", "loss=dueling", "loss=distributional"])
 def test_experiments_take_other_parts(experiment, option):
     pipeline = build_pipeline(compose(f"experiment={experiment}", option))
-    assert len(pipeline.agents) == 1
-    pipeline.collector.shutdown()
+    assert len(pipeline.algorithm.replicates) == 1
+    pipeline.source.collector.shutdown()
 
 
 def test_loss_dueling_is_double_dqn_with_the_dueling_network():

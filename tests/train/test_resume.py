@@ -211,7 +211,7 @@ def test_a_state_that_no_such_run_can_have_is_refused(break_it, stopped, capsys)
     elif break_it == "cars":
         state["cars"]["next_gate"][:] = 10**9
     elif break_it == "network":
-        state["learner"]["agents"][0]["loss"] = {}
+        state["algorithm"]["replicates"][0]["loss"] = {}
     elif break_it == "folders":
         del state["folders"]
     elif break_it == "log":

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -19,25 +19,22 @@ from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
 from carrl.printable import printable
 from carrl.report.summary_file import missing_lap
-from carrl.train.agent_run import RECENT_EPISODES
-from carrl.train.experiment import Callback, Session
-
-if TYPE_CHECKING:
-    from carrl.train.offline_trainer import OfflineTrainer
-    from carrl.train.trainer import Trainer
+from carrl.train.experiment import Observer, road_warning
+from carrl.train.replicate_run import RECENT_EPISODES
+from carrl.train.trainer import Trainer
 
 _SHOW_CURSOR = "\x1b[?25h"
 
 
-class StopOnSignals(Callback):
+class StopOnSignals(Observer):
     """Lets the first signal end the run with everything saved, and the second end the process at once.
 
     A second SIGHUP is passed over: a closing terminal sends it, and so does the shell in it.
     """
 
-    def on_start(self, session: Session) -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Takes the signals over."""
-        self._trainer = session.trainer
+        self._trainer = trainer
         self._previous = {number: signal.signal(number, self._stop) for number in heeded()}
 
     def on_end(self) -> None:
@@ -58,20 +55,20 @@ class StopOnSignals(Callback):
         self._trainer.interrupt()
 
 
-class RoadWarning(Callback):
+class RoadWarning(Observer):
     """Warns, before training begins, of a track that does not suit the car."""
 
-    def on_start(self, session: Session) -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Prints the warning, if there is one."""
-        warn(session.road_warning)
+        world = trainer.pipeline.world
+        warn(road_warning(world.circuits.all, world))
 
 
-class ProgressDisplay(Callback):
+class ProgressDisplay(Observer):
     """A live progress bar with figures below it."""
 
-    def on_start(self, session: Session) -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Begins to draw."""
-        self._session = session
         self._bar = Progress(SpinnerColumn(), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
         self._task = self._bar.add_task("", total=1.0)
         self._figures = Text()
@@ -79,11 +76,10 @@ class ProgressDisplay(Callback):
         self._live = Live(Group(self._bar, self._figures), console=self._console, refresh_per_second=4)
         self._live.start()
 
-    def on_round(self, trainer: Any) -> None:
+    def on_round(self, trainer: Trainer) -> None:
         """Moves the bar and the figures on."""
-        progress = _progress_on_logs if "transitions" in self._session.context else _progress_in_simulator
-        share, self._figures.plain = progress(self._session, trainer)
-        self._bar.update(self._task, completed=min(share, 1.0))
+        self._bar.update(self._task, completed=min(trainer.share_done, 1.0))
+        self._figures.plain = _figures(trainer) if trainer.source.transitions is None else _figures_of_logs(trainer)
 
     def on_end(self) -> None:
         """Leaves the last state on the screen."""
@@ -92,7 +88,7 @@ class ProgressDisplay(Callback):
             self._console.print()
 
 
-def follow_run() -> list[Callback]:
+def follow_run() -> list[Observer]:
     """What follows a run that has the terminal to itself."""
     return [RoadWarning(), StopOnSignals(), ProgressDisplay()]
 
@@ -103,30 +99,29 @@ def warn(sentence: str | None) -> None:
         print(printable(sentence), file=sys.stderr)
 
 
-def _progress_in_simulator(session: Session, trainer: "Trainer") -> tuple[float, str]:
-    """The share that is done, by env steps or episodes, whichever limit is nearer, and figures in two lines."""
-    plan, runs = session.learning.plan, trainer.runs
-    episodes = min(run.episodes for run in runs)  # of the run that ends last
+def _figures(trainer: Trainer) -> str:
+    """Env steps, episodes, laps and returns."""
+    runs = trainer.runs
     recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
     mean_return = sum(recent) / len(recent) if recent else math.nan
-    rate = sum(run.moment.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
-    return max(trainer.frames / plan.frames, episodes / plan.episodes), (
+    rate = sum(run.status.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
+    own = "".join(f"{name} {value:.2f} · " for name, value in runs[0].status.figures.items())
+    return (
         f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
         f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
-        f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · "
-        f"epsilon {runs[0].moment.epsilon:.2f} · {_laps_so_far(trainer)}"
+        f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · {own}{_laps_so_far(trainer)}"
     )
 
 
-def _progress_on_logs(session: Any, trainer: "OfflineTrainer") -> tuple[float, str]:
-    """The share of the updates that is done, and figures in two lines, with the loss of the last minibatches."""
-    replicates = len(trainer.runs)
-    rate = trainer.updates * replicates / max(trainer.wall_time_s, 1e-9)
-    loss = sum(run.moment.loss for run in trainer.runs) / replicates
-    each = "" if replicates == 1 else f" of each of {replicates} agents"
-    return trainer.updates / session.learning.offline_plan.updates, (
+def _figures_of_logs(trainer: Trainer) -> str:
+    """Updates, and the loss of the replicates' last minibatches."""
+    count = len(trainer.runs)
+    rate = trainer.updates * count / max(trainer.wall_time_s, 1e-9)
+    loss = sum(run.status.loss for run in trainer.runs) / count
+    each = "" if count == 1 else f" of each of {count} agents"
+    return (
         f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
-        f"  {session.context['transitions']:,} transitions from logs · loss {loss:.1f}"
+        f"  {trainer.source.transitions:,} transitions from logs · loss {loss:.1f}"
     )
 
 
@@ -170,7 +165,7 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
     Console().print(_place(folder), soft_wrap=True, highlight=False)
 
 
-def _laps_so_far(trainer: "Trainer") -> str:
+def _laps_so_far(trainer: Trainer) -> str:
     """How many agents lapped the track twice running, or on how many of several circuits their best networks did."""
     runs = trainer.runs
     trials = [run.best for run in runs if run.best is not None]

@@ -10,9 +10,16 @@ from pathlib import Path
 import pytest
 import torch
 
-from carrl.train import native, package_cache
-from carrl.train.native import CompilationError, compile_native
-from carrl.train.package_cache import CacheError, cache_dir, find_package, keep_package, open_cache, workspace
+from carrl.algorithms.common import native, package_cache
+from carrl.algorithms.common.native import CompilationError, compile_native
+from carrl.algorithms.common.package_cache import (
+    CacheError,
+    cache_dir,
+    find_package,
+    keep_package,
+    open_cache,
+    workspace,
+)
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
 CONTENT = b"0123456789"

@@ -16,7 +16,14 @@ from torch import Tensor
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from carrl.train.package_cache import CacheError, delete_package, find_package, keep_package, open_cache, workspace
+from carrl.algorithms.common.package_cache import (
+    CacheError,
+    delete_package,
+    find_package,
+    keep_package,
+    open_cache,
+    workspace,
+)
 
 _logger = logging.getLogger(__name__)
 
