@@ -144,6 +144,8 @@ def _build_simulated(config: Config, world: World, algorithm: Algorithm, buffer:
             "collector=ray may break an episode off, which returns over several steps would join to the next; "
             "set returns.steps=1, or collector=sync"
         )
+    if "gamma" not in config["loss"]:
+        raise ConfigError("returns over several steps need loss.gamma, which this loss lacks; set returns.steps=1")
     returns = build_node("returns", config["returns"], gamma=config["loss"]["gamma"])
     return Simulated(env, collector, buffer, returns)
 

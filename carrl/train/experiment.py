@@ -11,7 +11,7 @@ import torch
 import yaml
 from torchrl import logger as torchrl_logger
 
-from carrl.config import build_node, foreign_targets, is_whole_number, module_of
+from carrl.config import build_node, foreign_targets, is_whole_number, module_of, name_for_trust
 from carrl.data.source import Source
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
@@ -161,7 +161,7 @@ class Experiment:
         return path, config
 
     def _write_summaries(self, trainer: Trainer) -> list[Summary]:
-        own = own_modules(self.config)
+        own = [name_for_trust(module) for module in own_modules(self.config)]
         summaries = [{**summary, **({"trust": own} if own else {})} for summary in trainer.summaries()]
         for run, summary in zip(trainer.runs, summaries, strict=True):
             run.folder.write_summary(summary)
