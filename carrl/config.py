@@ -47,7 +47,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.dqn.loss.make_dueling_loss",
         "carrl.algorithms.dqn.distributional_loss.make_distributional_loss",
     ),
-    "returns": ("carrl.data.returns.make_returns",),
+    "returns": ("carrl.data.returns.NStepReturns",),
     "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.make_gradient_clipping",),
     "learning_rate": (
         "carrl.algorithms.common.learning_rate.LinearDecay",
@@ -77,6 +77,8 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
 
 A run's folder can come from a stranger, and what its config names is called when the run is evaluated.
 """
+_ADDED: set[str] = set()
+"""The folders that were added to those in which Python looks for modules."""
 MOST = 2.0**53
 """No number in a config may be larger, so that none overflows; floats tell whole numbers apart up to here."""
 MOST_ITEMS = 4096
@@ -155,15 +157,28 @@ def _importable_name(module: str) -> str:
     return path.stem
 
 
+def name_for_trust(module: str) -> str:
+    """What to give for this module, once imported, to trust it: its name, or its file where that is found elsewhere."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    path = Path(file) if file else Path(module)
+    path = path.parent if path.name == "__init__.py" else path
+    is_here = path.parent == Path.cwd() or str(path.parent) not in _ADDED
+    return module if is_here else str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
+
+
 def make_importable(config: Mapping[str, Any], folders: Iterable[Path]) -> None:
-    """Lets modules in the current folder and in these be imported, if the config names any but CarRL's own."""
+    """Lets modules here, in these folders and just above them be imported, if the config names any but CarRL's own."""
     if foreign_targets(config):
-        make_importable_from([Path.cwd(), *folders])
+        make_importable_from(
+            [Path.cwd(), *(place for folder in folders for place in (folder, folder.absolute().parent))]
+        )
 
 
 def make_importable_from(folders: Iterable[Path]) -> None:
     """Lets modules in these folders be imported, unless another one of the same name comes first."""
-    sys.path += [each for each in dict.fromkeys(str(folder.absolute()) for folder in folders) if each not in sys.path]
+    new = [each for each in dict.fromkeys(str(folder.absolute()) for folder in folders) if each not in sys.path]
+    _ADDED.update(new)
+    sys.path += new
 
 
 def build_node(name: str, node: Mapping[str, Any], *, targets: Sequence[str] | None = None, **dependencies: Any) -> Any:

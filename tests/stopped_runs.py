@@ -42,7 +42,7 @@ def stop_at(monkeypatch, frames):
 
     monkeypatch.setattr(ProgressDisplay, "on_round", interrupt)
     if frames == 0:
-        monkeypatch.setattr(RoadWarning, "on_start", lambda callback, trainer: trainer.stop())
+        monkeypatch.setattr(RoadWarning, "on_start", lambda observer, trainer: trainer.stop())
 
 
 def train(folder, *overrides):

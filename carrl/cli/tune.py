@@ -18,9 +18,8 @@ from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
 from carrl.cli.text.console import RoadWarning, StopOnSignals
 from carrl.cli.text.many_runs import TrialRow, TuningConsole
 from carrl.errors import CarrlError, ConfigError
-from carrl.train.callbacks import Callback
 from carrl.train.composition import composed
-from carrl.train.experiment import Experiment
+from carrl.train.experiment import Experiment, Observer
 from carrl.train.new_folder import check_holds_no_run, locked, make_new
 from carrl.train.overrides import is_search, readable_overrides
 from carrl.train.replicate_run import OBJECTIVES, Objective
@@ -105,7 +104,7 @@ class Tuning:
         try:
             config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
-            pruning = PruningCallback(trial, self.objective, config)
+            pruning = PruningObserver(trial, self.objective, config)
             summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
                 [RoadWarning(), StopOnSignals(), pruning]
             )
@@ -126,7 +125,7 @@ class Tuning:
             study.tell(trial, pruning.value)
 
 
-class PruningCallback(Callback):
+class PruningObserver(Observer):
     """Follows a trial's greedy drives, and ends it as soon as its value is final, or the study's pruner gives it up."""
 
     def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:

@@ -14,19 +14,6 @@ STEPS = "steps_to_next_obs"
 """How many steps lie between an observation and the next one, as TorchRL's losses want to know it."""
 
 
-def make_returns(steps: int, *, gamma: float) -> "NStepReturns | None":
-    """What turns single steps into n-step transitions; None where one step is wanted, as in the paper.
-
-    Args:
-        steps: of each car, whose rewards are summed before the network's value counts.
-        gamma: the loss's discount.
-
-    Raises:
-        ConfigError: fewer than one step.
-    """
-    return None if steps == 1 else NStepReturns(steps, gamma=gamma)
-
-
 class NStepReturns:
     """Makes n-step transitions out of single steps, n - 1 time steps later.
 

@@ -29,6 +29,8 @@ from carrl.train.learner import Learner
 from carrl.train.plan import EvaluationPlan, Limits, OfflinePlan, TrainingPlan
 
 Config = Mapping[str, Any]
+DEFAULT_ALGORITHM = {"_target_": "carrl.algorithms.dqn.dqn.DQNRecipe"}
+"""Of runs from before there was a choice."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def build_pipeline(config: Config) -> Pipeline:
 
 
 def _recipe(config: Config) -> Recipe:
-    recipe: Recipe = build_node("algorithm", config.get("algorithm") or {})  # runs of earlier versions have none
+    recipe: Recipe = build_node("algorithm", config.get("algorithm") or DEFAULT_ALGORITHM)
     return recipe
 
 
@@ -135,19 +137,22 @@ def _build_simulated(config: Config, world: World, algorithm: Algorithm, buffer:
         seeds=algorithm.seeds,
         parts=parts,
     )
-    if collector.may_break_off and _has_n_step_returns(config):
+    if not _has_n_step_returns(config):
+        return Simulated(env, collector, buffer, None)
+    if collector.may_break_off:
         raise ConfigError(
             "collector=ray may break an episode off, which returns over several steps would join to the next; "
             "set returns.steps=1, or collector=sync"
         )
-    node = config.get("returns")
-    returns = build_node("returns", node, gamma=config["loss"]["gamma"]) if node else None
+    if "gamma" not in config["loss"]:
+        raise ConfigError("returns over several steps need loss.gamma, which this loss lacks; set returns.steps=1")
+    returns = build_node("returns", config["returns"], gamma=config["loss"]["gamma"])
     return Simulated(env, collector, buffer, returns)
 
 
 def _has_n_step_returns(config: Config) -> bool:
     node = config.get("returns")
-    return isinstance(node, Mapping) and node.get("steps", 1) != 1
+    return isinstance(node, Mapping) and node.get("steps") != 1
 
 
 def _build_env(config: Config, world: World, seeds: list[int], device: str, **changes: Any) -> TrackEnv:

@@ -32,28 +32,26 @@ LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)
 
 
 class Callback:
-    """Follows a training run; override what is of use."""
+    """What a trainer calls at certain points; by default each does nothing."""
 
-    def on_start(self, trainer: "Trainer") -> None:
-        """Called once before the first round."""
+    def collected(self, trainer: "Trainer", batch: Round) -> None:
+        """A round's transitions are in the memory, and nothing was learnt from them yet."""
 
-    def on_collected(self, trainer: "Trainer", batch: Round) -> None:
-        """Called when a round's transitions are in the memory, and nothing was learnt from them yet."""
+    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+        """All updates of a round are made."""
 
-    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
-        """Called when all updates of a round are made."""
+    def flush(self, trainer: "Trainer") -> None:
+        """Nothing may be held back: the state is to be saved, or replicates' runs end."""
 
-    def on_round(self, trainer: "Trainer") -> None:
-        """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
+    def ended(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
+        """These replicates have reached a limit; their runs end after this."""
 
-    def on_flush(self, trainer: "Trainer") -> None:
-        """Called before the state is saved and before replicates' runs end: nothing may be held back."""
+    def state_dict(self) -> dict[str, Any]:
+        """What is to be remembered."""
+        return {}
 
-    def on_limit(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
-        """Called when these replicates have reached a limit; their runs end after this."""
-
-    def on_end(self) -> None:
-        """Called once after the last round, also where an error ended the run."""
+    def load_state_dict(self, state: Mapping[str, Any], trainer: "Trainer") -> None:
+        """Goes on from there, as the trainer does."""
 
 
 class Recorder(Callback):
@@ -64,23 +62,23 @@ class Recorder(Callback):
         self._logged, self._logged_at = 0, time.monotonic()
         self._measured, self._measured_at = 0, self._logged_at
 
-    def on_start(self, trainer: "Trainer") -> None:
-        """The logs are written up to there."""
+    def load_state_dict(self, state: Mapping[str, Any], trainer: "Trainer") -> None:
+        """Goes on from there; the logs are written up to there."""
         self._logged = self._measured = trainer.frames
 
-    def on_collected(self, trainer: "Trainer", batch: Round) -> None:
+    def collected(self, trainer: "Trainer", batch: Round) -> None:
         """Keeps the transitions to be logged together, and logs them when that is due."""
         if batch.transitions is None:
             return
         self._waiting.append(batch.transitions.select(*LOGGED_KEYS).clone())
         if trainer.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
-            self.on_flush(trainer)
+            self.flush(trainer)
         if trainer.learner.learns_for_the_first_time:  # half a minute, in which a kill would lose them
-            self.on_flush(trainer)
+            self.flush(trainer)
             for run in trainer.active.values():
                 run.folder.flush()
 
-    def on_flush(self, trainer: "Trainer") -> None:
+    def flush(self, trainer: "Trainer") -> None:
         """Logs the transitions since the last call."""
         if not self._waiting:
             return
@@ -112,7 +110,7 @@ class Recorder(Callback):
 class LoggedProgress(Callback):
     """Where transitions come from logs, adds a row for each round to the tables, as there are no episodes."""
 
-    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def learnt(self, trainer: "Trainer", batch: Round) -> None:
         """Measures every replicate on a fixed sample of the logged transitions."""
         sample = trainer.source.sample
         if sample is None:
@@ -139,21 +137,17 @@ class Evaluator(Callback):
         """When the latest evaluation was."""
         return {"evaluated_at": self._evaluated_at}
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any], trainer: "Trainer") -> None:
         """Goes on from there."""
-        self._evaluated_at = state["evaluated_at"]
+        self._evaluated_at, self._round_began_at = state["evaluated_at"], trainer.frames
 
-    def on_start(self, trainer: "Trainer") -> None:
-        """Intervals count from the first env step, wherever the run goes on."""
-        self._round_began_at = trainer.frames
-
-    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def learnt(self, trainer: "Trainer", batch: Round) -> None:
         """Evaluates if the round has passed a multiple of the interval."""
         before, self._round_began_at = self._round_began_at, trainer.frames
         if self._interval is not None and trainer.frames // self._interval > before // self._interval:
             self._evaluate(trainer)
 
-    def on_limit(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
+    def ended(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
         """Evaluates the networks as they are, unless that was done."""
         if self._evaluated_at != trainer.frames:
             self._evaluate(trainer)

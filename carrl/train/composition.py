@@ -95,8 +95,8 @@ def check_keys(config: Mapping[str, Any]) -> None:
                 f"{key} is {shown(value)}, but it is made of keys; set {' or '.join(keys[:_MOST])}{leave}"
             )
         if key in MAY_BE_EMPTY and isinstance(value, Mapping) and value and "_target_" not in value:
-            choices = ", ".join(f"{key}={option}" for option in options_with(key, "_target_:"))
-            raise ConfigError(f"{key}.{next(iter(value))} has no effect, as no {key} is chosen; add one of: {choices}")
+            choice = ", ".join(f"{key}={option}" for option in options_with(key, "_target_:"))
+            raise ConfigError(f"{key}.{next(iter(value))} has no effect, as no {key} is chosen; add one of: {choice}")
     for key in (*TARGETS, *PLAIN_KEYS):
         if key not in MAY_BE_ABSENT and config.get(key) is None:
             options = options_with(key)

@@ -11,7 +11,8 @@ import torch
 import yaml
 from torchrl import logger as torchrl_logger
 
-from carrl.config import build_node, foreign_targets, is_whole_number, module_of
+from carrl.config import build_node, foreign_targets, is_whole_number, module_of, name_for_trust
+from carrl.data.source import Source
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
@@ -19,7 +20,6 @@ from carrl.task.world import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
 from carrl.train.build import Pipeline, build_pipeline, logs_of
-from carrl.train.callbacks import Callback
 from carrl.train.checkpoint import StateFile
 from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
 from carrl.train.folder import RunFolder, check_tables
@@ -37,6 +37,19 @@ MOST_THREADS = 1024
 """More than any machine has cores; torch takes no number of more than 31 bits."""
 
 
+class Observer:
+    """Follows a training run from outside; override what is of use."""
+
+    def on_start(self, trainer: Trainer) -> None:
+        """Called once before the first round."""
+
+    def on_round(self, trainer: Trainer) -> None:
+        """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
+
+    def on_end(self) -> None:
+        """Called once after the last round, also where an error ended the run."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A training run.
@@ -51,7 +64,7 @@ class Experiment:
     folder: Path
     records: Mapping[str, str] = field(default_factory=dict)
 
-    def run(self, callbacks: Sequence[Callback] = ()) -> list[Summary]:
+    def run(self, observers: Sequence[Observer] = ()) -> list[Summary]:
         """Trains in a folder that holds no run yet; returns each replicate's summary.
 
         Raises:
@@ -60,9 +73,9 @@ class Experiment:
         with locked(self.folder):
             check_holds_no_run(self.folder)
             with self._leaving_nothing_if_refused():
-                return self.go_on(None, callbacks)
+                return self.go_on(None, observers)
 
-    def go_on(self, state: dict[str, Any] | None, callbacks: Sequence[Callback] = ()) -> list[Summary]:
+    def go_on(self, state: dict[str, Any] | None, observers: Sequence[Observer] = ()) -> list[Summary]:
         """Goes on with a run, whose folder must be locked, from its latest state; None if it has none yet.
 
         A run that was stopped early says so in its summaries, whose `finished` is false.
@@ -73,14 +86,17 @@ class Experiment:
         torchrl_logger.setLevel("WARNING")
         torch.set_num_threads(_checked_threads(self.config["threads"]))
         with _naming_exhaustion(), ExitStack() as stack:
-            trainer = self._prepare(state, callbacks, stack)
+            try:
+                trainer = self._prepare(state, stack)
+            except KeyError as error:  # of the log's own part of the state
+                if state is None:
+                    raise
+                raise CheckpointError(
+                    f"run '{self.folder}': the state does not fit the run's configuration: {error}"
+                ) from error
             if state is not None:
                 trainer.load_state_dict(state)
-            try:
-                trainer.run()
-            except KeyboardInterrupt:  # how `interrupt` ends a compilation
-                if not trainer.stopping:
-                    raise
+            _train(trainer, observers)
             summaries = self._write_summaries(trainer)
         if not trainer.stopping:
             _draw(trainer)
@@ -99,22 +115,24 @@ class Experiment:
                     (self.folder / path).rmdir() if path == CONFIG.parent else (self.folder / path).unlink()
             raise
 
-    def _prepare(self, state: Mapping[str, Any] | None, callbacks: Sequence[Callback], stack: ExitStack) -> Trainer:
-        """The trainer, its folders opened."""
+    def _prepare(self, state: Mapping[str, Any] | None, stack: ExitStack) -> Trainer:
+        """The training, its folders opened."""
         pipeline = build_pipeline(self.config)
         inputs = checksums(pipeline.world.circuits, logs_of(self.config))
         self._check_is_as_left(pipeline, inputs, state)
-        self._write_config()
+        _write(self.folder / CONFIG, as_yaml(self.config))
+        for name, text in self.records.items():
+            _write(self.folder / CONFIG.with_name(name), text)
         folders = []
         state_file = StateFile(self.folder, self.config, pipeline.plan.checkpoint_interval, inputs)
         for index, seed in enumerate(pipeline.algorithm.seeds):
             path, config = self._replicate(seed)
             own_state, scalars = state["folders"][index] if state else None, _open_scalars(path, config)
-            log = _open_log(path, config, pipeline, seed, own_state, state_file)
+            log = _open_log(path, config, pipeline.source, seed, own_state, state_file)
             if log is not None:
                 stack.enter_context(log)  # which completes it where the folder is refused
             folders.append(stack.enter_context(RunFolder(path, log, own_state, scalars)))
-        return Trainer(pipeline, folders, state_file, callbacks)
+        return Trainer(pipeline, folders, state_file)
 
     def _check_is_as_left(self, pipeline: Pipeline, inputs: Inputs, state: Mapping[str, Any] | None) -> None:
         """Refuses, before anything is written, what is not as the state's run had it."""
@@ -123,7 +141,9 @@ class Experiment:
         check_inputs(self.folder, state["inputs"], inputs)
         seeds = pipeline.algorithm.seeds
         if len(state["folders"]) != len(seeds):
-            raise CheckpointError(f"run '{self.folder}': the state does not fit the run's configuration: other seeds")
+            raise CheckpointError(
+                f"run '{self.folder}': the state does not fit the run's configuration: it has other seeds"
+            )
         for seed, own in zip(seeds, state["folders"], strict=True):
             check_tables(self._folder_of(seed), own)
 
@@ -140,13 +160,8 @@ class Experiment:
         _write(path / CONFIG, as_yaml(config))
         return path, config
 
-    def _write_config(self) -> None:
-        _write(self.folder / CONFIG, as_yaml(self.config))
-        for name, text in self.records.items():
-            _write(self.folder / CONFIG.with_name(name), text)
-
     def _write_summaries(self, trainer: Trainer) -> list[Summary]:
-        own = own_modules(self.config)
+        own = [name_for_trust(module) for module in own_modules(self.config)]
         summaries = [{**summary, **({"trust": own} if own else {})} for summary in trainer.summaries()]
         for run, summary in zip(trainer.runs, summaries, strict=True):
             run.folder.write_summary(summary)
@@ -179,6 +194,24 @@ def _phrases(track: Track, car: Car) -> list[str]:
     return [*([] if gap is None else [gap]), *unsuitable(track, car)]
 
 
+def _train(trainer: Trainer, observers: Sequence[Observer]) -> None:
+    """Trains until the run is over or stopped."""
+
+    def on_round(trainer: Trainer) -> None:
+        for observer in observers:
+            observer.on_round(trainer)
+
+    with ExitStack() as stack:
+        for observer in observers:
+            stack.callback(observer.on_end)
+            observer.on_start(trainer)
+        try:
+            trainer.run(on_round)
+        except KeyboardInterrupt:  # how `interrupt` ends a compilation
+            if not trainer.stopping:
+                raise
+
+
 def _checked_threads(threads: Any) -> int:
     """The number of threads.
 
@@ -199,9 +232,9 @@ def _write(path: Path, text: str) -> None:
 
 
 def _open_log(
-    path: Path, config: Config, pipeline: Pipeline, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
+    path: Path, config: Config, source: Source, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
 ) -> LogWriter | None:
-    env = pipeline.source.env
+    env = source.env
     if not config.get("recorder") or env is None:
         return None
     log: LogWriter = build_node(
@@ -215,7 +248,7 @@ def _open_log(
                 for index, track in enumerate(env.tracks)
             },
         },
-        metadata=describe_run(env, seed, pipeline.source.cars),
+        metadata=describe_run(env, seed, source.cars),
         state=state["log"] if state else None,
         make_room=state_file.make_room,
     )
@@ -256,7 +289,7 @@ def _exhausted() -> CarrlError:
 
 def _draw(trainer: Trainer) -> None:
     for run in trainer.runs:
-        if trainer.source.env is not None:
+        if trainer.source.transitions is None:
             _draw_learning_curve(run)
         _draw_lap(trainer.pipeline.world, run)
 

@@ -25,9 +25,8 @@ from carrl.task.world import World
 from carrl.tracks.circuits import Folder, load_folder
 from carrl.tracks.track import Track
 from carrl.train.build import build_world, load_greedy_policy
-from carrl.train.callbacks import Callback
 from carrl.train.composition import composed, quote
-from carrl.train.experiment import Config, Experiment, Summary, own_modules, road_warning
+from carrl.train.experiment import Config, Experiment, Observer, Summary, own_modules, road_warning
 from carrl.train.files import LOG, SUMMARY, load_config, read_text, seed_folders
 from carrl.train.new_folder import locked, make_new
 from carrl.train.overrides import check_is_read, is_text, named_overrides, readable_overrides
@@ -235,7 +234,7 @@ def train(
     resume: str | Path | None = None,
     config_dir: str | Path | None = None,
     trust: Sequence[str] = (),
-    callbacks: Sequence[Callback] = (),
+    observers: Sequence[Observer] = (),
     progress: bool = False,
     **values: Any,
 ) -> Run:
@@ -248,7 +247,7 @@ def train(
         resume: the folder of a run to go on with instead of beginning one.
         config_dir: a folder of groups and experiments of your own, beside which your modules may lie.
         trust: modules of your own that a run to be resumed may use.
-        callbacks: follow the training.
+        observers: follow the training.
         progress: print how it goes on standard error.
         **values: of the configuration, by their keys; a mapping stands for the keys below.
 
@@ -257,7 +256,7 @@ def train(
     """
     typed = [*_typed({**({"experiment": experiment} if experiment else {}), **values})]
     typed += _typed(overrides) if isinstance(overrides, Mapping) else overrides
-    watching = [_Warner(), *([_Printer()] if progress else []), *callbacks]
+    watching = [_Warner(), *([_Printer()] if progress else []), *observers]
     if resume is not None:
         return _resume(Path(resume), typed, trust, watching)
     readable = readable_overrides(typed, is_sweep=None, verb="carrl.train", folder_key="folder=")
@@ -273,11 +272,11 @@ def train(
     return Run(path, own_modules(config))
 
 
-def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], callbacks: Sequence[Callback]) -> Run:
+def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], observers: Sequence[Observer]) -> Run:
     load_config(run, trust)  # so that nothing is written to a folder that is no run's
     with locked(run):
         resumption = resumption_of(run, named_overrides(typed), trust)
-        Experiment(resumption.config, run).go_on(resumption.state, callbacks)
+        Experiment(resumption.config, run).go_on(resumption.state, observers)
     return Run(run, trust)
 
 
@@ -309,16 +308,16 @@ def _as_typed(value: Any) -> str:
     raise ConfigError(f"{value!r} is no value of a configuration; give a number, text, list or mapping")
 
 
-class _Warner(Callback):
+class _Warner(Observer):
     """Warns of a track that does not suit the car."""
 
     def on_start(self, trainer: Trainer) -> None:
-        sentence = road_warning(trainer.pipeline.world.circuits.all, trainer.pipeline.world)
-        if sentence is not None:
-            warnings.warn(sentence.removeprefix("warning: "), stacklevel=2)
+        world = trainer.pipeline.world
+        if (warning := road_warning(world.circuits.all, world)) is not None:
+            warnings.warn(warning.removeprefix("warning: "), stacklevel=2)
 
 
-class _Printer(Callback):
+class _Printer(Observer):
     """Prints a line every few seconds."""
 
     _INTERVAL_S = 2.0
@@ -328,6 +327,6 @@ class _Printer(Callback):
         if time.monotonic() < self._printed_at + self._INTERVAL_S:
             return
         self._printed_at = time.monotonic()
-        statuses = [run.status for run in trainer.runs]
-        done = f"{trainer.frames:,} env steps, {trainer.updates:,} updates"
-        print(f"{done}, loss {sum(each.loss for each in statuses) / len(statuses):.4g}", file=sys.stderr)
+        loss = sum(run.status.loss for run in trainer.runs) / len(trainer.runs)
+        done = f"{trainer.frames:,} env steps, {trainer.updates:,} updates, loss {loss:.4g}"
+        print(f"{min(trainer.share_done, 1):.0%}: {done}", file=sys.stderr)

@@ -4,8 +4,7 @@ Shapes: `A` replicates.
 """
 
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import carrl
@@ -32,7 +31,7 @@ class Trainer:
         pipeline: of a run that has done nothing yet.
         folders: one for each replicate.
         state_file: where the state is kept between rounds; None to keep none.
-        callbacks: what to do besides recording and evaluating, and who follows the run.
+        callbacks: what to do besides recording and evaluating.
 
     Attributes:
         runs: of the replicates.
@@ -56,7 +55,7 @@ class Trainer:
         self._stopping = False
         self._state_file = state_file
         self._evaluator = Evaluator(pipeline.evaluation_interval)
-        self.callbacks: list[Callback] = [Recorder(), LoggedProgress(), self._evaluator, *callbacks]
+        self._callbacks = [Recorder(), LoggedProgress(), self._evaluator, *callbacks]
 
     @property
     def algorithm(self) -> Algorithm:
@@ -138,41 +137,38 @@ class Trainer:
             for run in self.runs
         ]
 
-    def run(self) -> None:
-        """Trains.
+    def run(self, on_round: Callable[["Trainer"], None]) -> None:
+        """Trains; `on_round` is called after every round of collecting and learning.
 
         Raises:
             CarrlError: a log, a table or a checkpoint cannot be written, or a loss is not a number.
         """
-        with ExitStack() as stack:
-            for callback in self.callbacks:
-                stack.callback(callback.on_end)
-                callback.on_start(self)
-            stack.callback(self.source.close)
-            stack.callback(self._flush)
+        try:
             if self.frames == self.updates == 0:
                 self.save()
             self._end_runs()
             while self.active:
                 self._make_round()
+                on_round(self)
                 self._check_folders()
                 if self._state_file is not None and self._state_file.is_due:
                     self.save()
                 self._end_runs()
+        finally:
+            self._flush()
+            self.source.close()
 
     def _make_round(self) -> None:
         batch = self.source.collect(self.updates)
-        for callback in self.callbacks:
-            callback.on_collected(self, batch)
+        for callback in self._callbacks:
+            callback.collected(self, batch)
         self.learner.learn(batch.steps)
         self._check_losses()
         losses = self.learner.losses.tolist()
         for index, run in self.active.items():
             run.add_episodes(batch.episodes[index], self.status(losses[index]))
-        for callback in self.callbacks:
-            callback.on_learnt(self, batch)
-        for callback in self.callbacks:
-            callback.on_round(self)
+        for callback in self._callbacks:
+            callback.learnt(self, batch)
 
     def _check_losses(self) -> None:
         """Ends the training where the loss of a replicate that is not over was not finite."""
@@ -202,8 +198,8 @@ class Trainer:
         if len(over) == len(self.active):
             self.save()
         if over:
-            for callback in self.callbacks:
-                callback.on_limit(self, over)
+            for callback in self._callbacks:
+                callback.ended(self, over)
         self._let_go(over)
 
     def _let_go(self, over: Sequence[int]) -> None:
@@ -213,8 +209,8 @@ class Trainer:
             del self.active[index]
 
     def _flush(self) -> None:
-        for callback in self.callbacks:
-            callback.on_flush(self)
+        for callback in self._callbacks:
+            callback.flush(self)
 
     # State
 
@@ -233,7 +229,7 @@ class Trainer:
             "algorithm": self.algorithm.state_dict(),
             "learner": self.learner.state_dict(),
             "runs": [run.state_dict() for run in self.runs],
-            **self._evaluator.state_dict(),
+            "callbacks": [callback.state_dict() for callback in self._callbacks],
             "active": list(self.active),
             "wall_time_s": self.wall_time_s,
             "first_update_s": self.first_update_s,
@@ -259,7 +255,8 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         for run, own in zip(self.runs, state["runs"], strict=True):
             run.load_state_dict(own)
-        self._evaluator.load_state_dict(state)
+        for callback, own in zip(self._callbacks, state["callbacks"], strict=True):
+            callback.load_state_dict(own, self)
         self._began = time.monotonic() - state["wall_time_s"]
         if state["first_update_s"] is not None:
             self.learner.first_update_at = self._began + state["first_update_s"]

@@ -4,7 +4,6 @@ import os
 import pty
 import signal
 from contextlib import contextmanager
-from types import SimpleNamespace
 
 import pytest
 
@@ -21,12 +20,12 @@ class Trainer:
 
 @contextmanager
 def stopping_on_signals(trainer):
-    callback = StopOnSignals()
-    callback.on_start(SimpleNamespace(trainer=trainer))
+    observer = StopOnSignals()
+    observer.on_start(trainer)
     try:
         yield
     finally:
-        callback.on_end()
+        observer.on_end()
 
 
 class EndedError(Exception):

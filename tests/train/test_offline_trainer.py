@@ -16,7 +16,6 @@ from carrl.train.checkpoint import load_checkpoint
 from carrl.train.folder import RunFolder
 from carrl.train.plan import OfflinePlan
 from carrl.train.trainer import Trainer
-from tests.callbacks import EachRound
 from tests.configs import compose
 from tests.data.logs import logged_transitions, write_log
 
@@ -34,13 +33,13 @@ def build(log_path, *overrides):
     return build_pipeline(compose("data=log", *paths, *overrides))
 
 
-def train(pipeline, folder, *callbacks):
+def train(pipeline, folder, on_round=lambda _: None):
     """A finished trainer; with several agents their folders are named after their seeds."""
     with ExitStack() as stack:
         seeds = [agent.seed for agent in pipeline.algorithm.replicates]
         paths = [folder / str(seed) if len(seeds) > 1 else folder for seed in seeds]
-        trainer = Trainer(pipeline, [stack.enter_context(RunFolder(path)) for path in paths], None, callbacks)
-        trainer.run()
+        trainer = Trainer(pipeline, [stack.enter_context(RunFolder(path)) for path in paths])
+        trainer.run(on_round)
     return trainer
 
 
@@ -71,7 +70,7 @@ def test_no_simulator_is_touched_before_everything_is_learnt(log_path, tmp_path,
         watch(owner, name)
     pipeline = build(log_path)
     touched_in_training = []
-    train(pipeline, tmp_path, EachRound(lambda trainer: touched_in_training.append(list(moves))))
+    train(pipeline, tmp_path, lambda trainer: touched_in_training.append(list(moves)))
     assert touched_in_training == [[]]
     assert pipeline.learner.updates == 20
     assert moves[:3] == ["__init__", "__init__", "start"] and moves.count("start") == 1  # the drive at the end
@@ -163,7 +162,7 @@ def test_cql_learns_something_else_than_double_dqn(log_path, tmp_path):
 
 
 def test_stop_ends_the_run_after_the_round_and_keeps_the_network(log_path, tmp_path):
-    trainer = train(build(log_path, "data.updates=10000"), tmp_path, EachRound(Trainer.stop))
+    trainer = train(build(log_path, "data.updates=10000"), tmp_path, lambda running: running.stop())
     assert trainer.updates == 250
     assert trainer.runs[0].last is None
     assert (tmp_path / "checkpoints" / "last.pt").exists()

@@ -15,7 +15,6 @@ from carrl.train.build import build_pipeline
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
 from carrl.train.trainer import Trainer
-from tests.callbacks import EachRound
 from tests.configs import compose
 
 
@@ -31,7 +30,7 @@ def train(folder, *overrides):
             recorder = LogWriter(path / "train.mcap", attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
-        trainer.run()
+        trainer.run(lambda _: None)
     return trainer, pipeline
 
 
@@ -72,7 +71,7 @@ def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs)
     agent.target_updater.step = watched_step
     with RunFolder(tmp_path) as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run()
+        trainer.run(lambda _: None)
     # At 100 steps no update has been made yet (a batch is 128), so the copy at C changes nothing there.
     assert copies == [200, 300]
     assert sum(steps) == trainer.frames
@@ -160,9 +159,8 @@ def test_the_run_ends_at_the_episode_limit(tmp_path):
 def test_stop_ends_the_run_after_the_round(tmp_path):
     pipeline = build_pipeline(compose("env.num_envs=4"))
     with RunFolder(tmp_path) as folder:
-        stopper = EachRound(lambda running: running.stop() if running.frames >= 40 else None)
-        trainer = Trainer(pipeline, [folder], callbacks=[stopper])
-        trainer.run()
+        trainer = Trainer(pipeline, [folder])
+        trainer.run(lambda running: running.stop() if running.frames >= 40 else None)
     assert trainer.frames == 40
     assert trainer.runs[0].last is None
     assert (tmp_path / "checkpoints" / "last.pt").exists()

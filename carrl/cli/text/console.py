@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -19,23 +19,20 @@ from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
 from carrl.printable import printable
 from carrl.report.summary_file import missing_lap
-from carrl.train.callbacks import Callback
-from carrl.train.experiment import road_warning
+from carrl.train.experiment import Observer, road_warning
 from carrl.train.replicate_run import RECENT_EPISODES
-
-if TYPE_CHECKING:
-    from carrl.train.trainer import Trainer
+from carrl.train.trainer import Trainer
 
 _SHOW_CURSOR = "\x1b[?25h"
 
 
-class StopOnSignals(Callback):
+class StopOnSignals(Observer):
     """Lets the first signal end the run with everything saved, and the second end the process at once.
 
     A second SIGHUP is passed over: a closing terminal sends it, and so does the shell in it.
     """
 
-    def on_start(self, trainer: "Trainer") -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Takes the signals over."""
         self._trainer = trainer
         self._previous = {number: signal.signal(number, self._stop) for number in heeded()}
@@ -58,19 +55,19 @@ class StopOnSignals(Callback):
         self._trainer.interrupt()
 
 
-class RoadWarning(Callback):
+class RoadWarning(Observer):
     """Warns, before training begins, of a track that does not suit the car."""
 
-    def on_start(self, trainer: "Trainer") -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Prints the warning, if there is one."""
         world = trainer.pipeline.world
         warn(road_warning(world.circuits.all, world))
 
 
-class ProgressDisplay(Callback):
+class ProgressDisplay(Observer):
     """A live progress bar with figures below it."""
 
-    def on_start(self, trainer: "Trainer") -> None:
+    def on_start(self, trainer: Trainer) -> None:
         """Begins to draw."""
         self._bar = Progress(SpinnerColumn(), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
         self._task = self._bar.add_task("", total=1.0)
@@ -79,11 +76,10 @@ class ProgressDisplay(Callback):
         self._live = Live(Group(self._bar, self._figures), console=self._console, refresh_per_second=4)
         self._live.start()
 
-    def on_round(self, trainer: "Trainer") -> None:
+    def on_round(self, trainer: Trainer) -> None:
         """Moves the bar and the figures on."""
-        figures = _figures_in_simulator if trainer.source.transitions is None else _figures_on_logs
-        self._figures.plain = figures(trainer)
         self._bar.update(self._task, completed=min(trainer.share_done, 1.0))
+        self._figures.plain = _figures(trainer) if trainer.source.transitions is None else _figures_of_logs(trainer)
 
     def on_end(self) -> None:
         """Leaves the last state on the screen."""
@@ -92,7 +88,7 @@ class ProgressDisplay(Callback):
             self._console.print()
 
 
-def follow_run() -> list[Callback]:
+def follow_run() -> list[Observer]:
     """What follows a run that has the terminal to itself."""
     return [RoadWarning(), StopOnSignals(), ProgressDisplay()]
 
@@ -103,8 +99,8 @@ def warn(sentence: str | None) -> None:
         print(printable(sentence), file=sys.stderr)
 
 
-def _figures_in_simulator(trainer: "Trainer") -> str:
-    """Env steps, episodes, laps and returns, in two lines."""
+def _figures(trainer: Trainer) -> str:
+    """Env steps, episodes, laps and returns."""
     runs = trainer.runs
     recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
     mean_return = sum(recent) / len(recent) if recent else math.nan
@@ -117,12 +113,12 @@ def _figures_in_simulator(trainer: "Trainer") -> str:
     )
 
 
-def _figures_on_logs(trainer: "Trainer") -> str:
-    """Updates and the loss of the last minibatches, in two lines."""
-    replicates = len(trainer.runs)
-    rate = trainer.updates * replicates / max(trainer.wall_time_s, 1e-9)
-    loss = sum(run.status.loss for run in trainer.runs) / replicates
-    each = "" if replicates == 1 else f" of each of {replicates} agents"
+def _figures_of_logs(trainer: Trainer) -> str:
+    """Updates, and the loss of the replicates' last minibatches."""
+    count = len(trainer.runs)
+    rate = trainer.updates * count / max(trainer.wall_time_s, 1e-9)
+    loss = sum(run.status.loss for run in trainer.runs) / count
+    each = "" if count == 1 else f" of each of {count} agents"
     return (
         f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
         f"  {trainer.source.transitions:,} transitions from logs · loss {loss:.1f}"
@@ -169,7 +165,7 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
     Console().print(_place(folder), soft_wrap=True, highlight=False)
 
 
-def _laps_so_far(trainer: "Trainer") -> str:
+def _laps_so_far(trainer: Trainer) -> str:
     """How many agents lapped the track twice running, or on how many of several circuits their best networks did."""
     runs = trainer.runs
     trials = [run.best for run in runs if run.best is not None]
