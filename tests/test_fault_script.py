@@ -19,21 +19,24 @@ from benchmarks.log_faults.kill import Kill
 from benchmarks.log_faults.sample import Piece, read_sample
 from benchmarks.log_faults.training import Note
 from carrl.log import read_columns, recover
-from carrl.log.layout import tensordict_of
+from carrl.log.codec import tensordict_of
 from carrl.log.messages import Episode, Metrics
-from carrl.log.schema import COLUMNS, TRANSITIONS
+from carrl.log.schema import TRANSITIONS
 from carrl.log.writer import LogWriter
+from tests.logs import make_schema
 
 BATCHES, BATCH = 8, 12
 
 
 def write_log(path, seed):
     draw = np.random.default_rng(seed)
-    with LogWriter(path, attachments={"config.yaml": b"seed: %d\n" % seed, "track.json": b"{}"}, metadata={}) as writer:
+    with LogWriter(
+        path, schema=make_schema(), attachments={"config.yaml": b"seed: %d\n" % seed, "track.json": b"{}"}, metadata={}
+    ) as writer:
         for number in range(BATCHES):
             columns = {
                 c.name: draw.random((BATCH, *(7 if isinstance(e, str) else e for e in c.shape))).astype(c.dtype)
-                for c in COLUMNS
+                for c in make_schema().columns
             }
             columns["time_ns"] = np.arange(number * BATCH, (number + 1) * BATCH)
             writer.write(tensordict_of(columns))
@@ -90,7 +93,7 @@ def lying(change):
 
     def recover_changed(source, target):
         columns = change(read_columns(source))
-        with LogWriter(source, attachments={}, metadata={}) as writer:
+        with LogWriter(source, schema=make_schema(), attachments={}, metadata={}) as writer:
             writer._run = int(recover_changed.run, 16)
             writer.write(tensordict_of(columns))
         return recover(source, target)
@@ -102,7 +105,7 @@ CHANGES = {
     "loses": (lambda columns: {name: values[:-1] for name, values in columns.items()}, "lacks what is in an undamaged"),
     "invents": (lambda columns: columns | {"reward": columns["reward"] + 1}, "has what was never written"),
     "repeats": (lambda columns: {name: np.repeat(values, 2, 0) for name, values in columns.items()}, "more than once"),
-    "swaps": (lambda columns: columns | {"pose": columns["pose"][::-1].copy()}, "has what was never written"),
+    "swaps": (lambda columns: columns | {"pose": columns["state"][::-1].copy()}, "has what was never written"),
 }
 
 
@@ -150,7 +153,7 @@ def test_places_of_items_are_found_only_in_order_and_once():
 def test_rows_are_as_long_as_the_values_of_a_transition():
     columns = {
         c.name: np.zeros((3, *(7 if isinstance(extent, str) else extent for extent in c.shape)), c.dtype)
-        for c in COLUMNS
+        for c in make_schema().columns
     }
     columns["reward"][1] = np.float32("nan")
     rows = rows_of(columns)

@@ -25,7 +25,7 @@ from carrl.train.folder import RunFolder, check_tables
 from carrl.train.inputs import Inputs, check_inputs, checksums
 from carrl.train.offline_folder import OfflineRunFolder
 from carrl.train.offline_trainer import OfflineTrainer
-from carrl.train.provenance import describe_run
+from carrl.train.provenance import describe_run, dqn_columns, log_schema
 from carrl.train.scalars import Scalars
 from carrl.train.state_file import StateFile
 from carrl.train.summary import summarise
@@ -191,6 +191,7 @@ def _open_log(
         "recorder",
         config["recorder"],
         path=path / LOG,
+        schema=log_schema(env, dqn_columns(pipeline.world.action.names)),
         attachments={
             "config.yaml": _as_yaml(config).encode(),
             **{

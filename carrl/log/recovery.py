@@ -20,17 +20,26 @@ from mcap.records import Attachment, ChunkIndex, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.log.codec import row_shapes
-from carrl.log.log_file import begin_log
-from carrl.log.mcap_file import McapFile
-from carrl.log.mcap_index import IndexedFile, open_log
-from carrl.log.mcap_scan import McapIndex
+from carrl.log import version2
+from carrl.log.log_file import ATTACHMENT, begin_log, chunk_beginning, describe
+from carrl.log.mcap_read import IndexedFile, open_log
+from carrl.log.mcap_records import McapIndex
+from carrl.log.mcap_write import McapFile
 from carrl.log.messages import Episode
-from carrl.log.metadata import ATTACHMENT, describe
 from carrl.log.reader import quoted_names
-from carrl.log.salvage import Content, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
-from carrl.log.salvaged_messages import TOPICS, Decoded, decoded_messages
-from carrl.log.schema import CHANNELS, EPISODES, METADATA_NAME, METRICS, RECOVERY_NAME, TRANSITIONS
+from carrl.log.salvage import Content, Decoded, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
+from carrl.log.schema import (
+    CHANNELS,
+    EPISODES,
+    METADATA_NAME,
+    METRICS,
+    RECOVERY_NAME,
+    TRANSITIONS,
+    Schema,
+    bare_schema,
+)
+
+_TOPICS = {number: topic for topic, number in CHANNELS.items()}
 
 
 @dataclass(frozen=True)
@@ -176,13 +185,16 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
         assert isinstance(record, Attachment)
         attachments[name] = record.data
     named = {key.removeprefix(ATTACHMENT) for key in entries or {} if key.startswith(ATTACHMENT)}
-    file = begin_log(path, entries or describe(run, 0, {}, attachments), attachments)
+    own = sorted(place for place in pieces.places if place.run == run)
+    schema = _schema_of(content, pieces, own, entries)
+    entries_or_new = entries or describe(run, 0, {}, attachments, schema.version)
+    file = begin_log(path, entries_or_new, attachments, schema)
     told = {chunk.chunk_start_offset: chunk for chunk in index.chunks} if index else {}
     try:
-        copy = _Copy(file, run)
-        for place in sorted(place for place in pieces.places if place.run == run):
-            found = [decoded for decoded in decoded_messages(unpacked(content, place), pieces.topics) if decoded]
-            copy.add(found, TOPICS[place.channel], is_counted=_is_of(place, told.get(place.position)))
+        copy = _Copy(file, run, schema)
+        for place in own:
+            found = [decoded for decoded in pieces.channels.decoded(unpacked(content, place)) if decoded]
+            copy.add(found, _TOPICS[place.channel], is_counted=_is_of(place, told.get(place.position)))
         recovery = Recovery(
             finished=index is not None,
             transitions=copy.written[TRANSITIONS],
@@ -208,6 +220,18 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
     finally:
         file.close()
     return recovery
+
+
+def _schema_of(content: Content, pieces: Pieces, own: list[Place], entries: Mapping[str, str] | None) -> Schema:
+    """The columns of a run: those of its first transitions, or else what may be known without any."""
+    for place in own:
+        if _TOPICS[place.channel] == TRANSITIONS:
+            for decoded in pieces.channels.decoded(unpacked(content, place)):
+                if decoded and decoded.batch and decoded.run == place.run:
+                    return decoded.batch.schema
+    if entries and entries.get("format_version") == str(version2.VERSION):
+        return version2.NO_WIDTHS
+    return next(iter(pieces.channels.schemas), bare_schema())
 
 
 def _is_of(place: Place, told: ChunkIndex | None) -> bool:
@@ -277,14 +301,14 @@ class _Copy:
         transitions_left_out: that did not fit those before.
     """
 
-    def __init__(self, file: McapFile, run: int) -> None:
-        self._file, self._run = file, run
+    def __init__(self, file: McapFile, run: int, schema: Schema) -> None:
+        self._file, self._run, self._schema = file, run, schema
+        self._chunk_beginning = chunk_beginning(f"{run:016x}", schema)
         self.found: Counter[str] = Counter()
         self.counted: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
         self.duplicates = self.episode_steps = self.transitions_lost = self.transitions_left_out = 0
         self._next_offset = 0
-        self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
         self._highest: Counter[str] = Counter()
         self._seen: set[tuple[object, ...]] = set()
@@ -300,7 +324,7 @@ class _Copy:
         own.sort(key=lambda decoded: decoded.batch.offset if decoded.batch else 0)  # a chunk may have them in any order
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
-            self._file.add_chunk(messages)
+            self._file.add_chunk(messages, self._chunk_beginning if topic == TRANSITIONS else b"")
 
     def _renumbered(self, decoded: Decoded) -> Message | None:
         """The message as it is to be written; None if it has been already, or does not fit those before."""
@@ -317,8 +341,7 @@ class _Copy:
             self.written[topic] += 1
             self.episode_steps += decoded.small.length if isinstance(decoded.small, Episode) else 0
         else:
-            self._row_shapes = self._row_shapes or row_shapes(batch.columns)
-            if batch.offset < self._next_offset or row_shapes(batch.columns) != self._row_shapes:
+            if batch.offset < self._next_offset or batch.schema != self._schema:
                 self.transitions_left_out += batch.count
                 return None
             self.transitions_lost += batch.offset - self._next_offset

@@ -8,11 +8,9 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from carrl.log.codec import row_shapes
-from carrl.log.mcap_index import check_magic, damaged, open_log
+from carrl.log.log_file import ATTACHMENT
+from carrl.log.mcap_read import FileContent, check_magic, damaged, open_log, verified_records
 from carrl.log.mcap_records import parse
-from carrl.log.mcap_scan import verified_records
-from carrl.log.metadata import ATTACHMENT
 from carrl.log.reader import Log, quoted_names
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 
@@ -42,12 +40,10 @@ def verify(path: str | Path) -> IntactLog:
             if offsets[what] != expected:
                 raise damaged(path, f"its index does not tell where its {what} records are")
         _check_is_all_there(log)
-        transitions, batches, shapes = 0, 0, log.row_shapes
+        transitions, batches = 0, 0
         for batch in log.coded_batches():
             if batch.offset != transitions:
                 raise damaged(path, f"{transitions} transitions are followed by number {batch.offset}")
-            if row_shapes(batch.columns) != shapes:
-                raise damaged(path, f"transition {transitions} has not as many rays as those before")
             transitions, batches = transitions + batch.count, batches + 1
         lengths = [episode.length for episode in log.episodes()]
         if lengths and not batches and log.metadata["part"] == "0" and not log.recovery:
@@ -85,10 +81,11 @@ def _walk(path: Path) -> dict[str, list[int]]:
     """Where the records of each kind begin that the index tells of; checks the CRCs of the file's sections."""
     file, size = open_log(path)
     with file:
-        check_magic(path, file, size)
+        content = FileContent(file, size)
+        check_magic(path, content)
         offsets: dict[str, list[int]] = {name: [] for name in _TOLD_OF.values()}
         try:
-            for offset, opcode, body in verified_records(file, size):
+            for offset, opcode, body in verified_records(content):
                 parse(opcode, body)
                 if opcode in _TOLD_OF:
                     offsets[_TOLD_OF[opcode]].append(offset)

@@ -33,17 +33,19 @@ def episode_events(trace: EpisodeTrace) -> list[Event]:
 
 
 def _beginning(trace: EpisodeTrace) -> Event:
-    where = f"episode {trace.episode} of car {trace.env} on track {trace.track.name}"
+    where = f"episode {trace.episode} of car {trace.car} on track {trace.track.name}"
     late = f", recorded from step {trace.first_step}" if trace.first_step else ""
     return Event(0, "info", f"{where}{late}")
 
 
 def _gates(trace: EpisodeTrace) -> Iterator[Event]:
-    """A line for each gate; one that completes a lap says so, unless gates passed before the record are unknown."""
-    for count, row in enumerate(np.flatnonzero(np.diff(trace.gates_passed)), start=1):
-        laps, rest = divmod(count, len(trace.track.gates))
-        lap = f", lap {laps} complete" if not rest and not trace.first_step else ""
-        yield Event(int(row), "info", f"{count} gate{'s' * (count > 1)} passed{lap}")
+    """A line for each step that passed gates; one that completes a lap says so, unless earlier gates are unknown."""
+    gates, known = len(trace.track.gates), not trace.first_step or trace.columns["next_gate"][0] >= 0
+    before, after = trace.columns["gates_passed"], trace.columns["next_gates_passed"]
+    for row in np.flatnonzero(after > before).tolist():
+        count, laps = int(after[row]), int(after[row]) // gates
+        lap = f", lap {laps} complete" if known and laps > before[row] // gates else ""
+        yield Event(row, "info", f"{count} gate{'s' * (count > 1)} passed{lap}")
 
 
 def _near_walls(trace: EpisodeTrace) -> Iterator[Event]:

@@ -14,13 +14,13 @@ from carrl.data.collector import cars_of, put_cars_back
 from carrl.data.replay_buffer import KEYS, contents_of, put_back
 from carrl.errors import ConfigError
 from carrl.log.messages import Metrics
-from carrl.log.schema import COLUMNS
 from carrl.train.agent_run import AgentRun
 from carrl.train.build import Pipeline
 from carrl.train.episodes import EpisodeTracker
 from carrl.train.folder import RunFolder
 from carrl.train.metrics import mean_action_value, td_error
 from carrl.train.moment import Moment
+from carrl.train.provenance import dqn_columns, log_schema
 from carrl.train.state_file import StateFile
 from carrl.train.training import Training
 
@@ -30,8 +30,6 @@ LOGGED_WITHIN_S = 1.0
 """Wall time after which they are logged, if they are fewer."""
 METRICS_INTERVAL_S = 0.5
 """Wall time for each agent after which learning is measured with the next transitions logged; one takes about 2 ms."""
-LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)))
-"""The log's columns, and what the loss reads besides."""
 
 
 class Trainer(Training):
@@ -57,6 +55,8 @@ class Trainer(Training):
         self._tracker = EpisodeTracker(len(agents), cars, gates, time_step)
         self._validation = pipeline.world.simulator(pipeline.world.circuits.validation, pipeline.env.device)
         self._evaluated_at = -1
+        schema = log_schema(pipeline.env, dqn_columns(pipeline.world.action.names))
+        self._logged_keys = list(dict.fromkeys([*schema.keys, *KEYS]))  # the columns, and what the loss reads besides
         self._unlogged: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, self._began
         self._measured, self._measured_at = 0, self._began
@@ -151,7 +151,7 @@ class Trainer(Training):
 
     def _record(self, by_agent: TensorDictBase) -> None:
         """Keeps transitions [F, A] to be logged together, and logs them when that is due."""
-        self._unlogged.append(by_agent.select(*LOGGED_KEYS).clone())
+        self._unlogged.append(by_agent.select(*self._logged_keys).clone())
         if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
             self._log()
         if self._learns_for_the_first_time():

@@ -16,6 +16,7 @@ from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
 from carrl.train.trainer import Trainer
 from tests.configs import compose
+from tests.logs import make_schema
 
 
 def train(folder, *overrides):
@@ -27,7 +28,7 @@ def train(folder, *overrides):
         for agent in pipeline.agents:
             path = folder / str(agent.seed) if len(pipeline.agents) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)
-            recorder = LogWriter(path / "train.mcap", attachments={}, metadata={})
+            recorder = LogWriter(path / "train.mcap", schema=make_schema(), attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
         trainer.run(lambda _: None)
@@ -92,7 +93,7 @@ def test_the_log_tells_episodes_apart(tmp_path):
     for number in log["episode"].unique().tolist():
         episode = log[log["episode"] == number]
         assert torch.equal(episode["step"], torch.arange(len(episode)))
-        assert len(episode["env"].unique()) == 1
+        assert len(episode["car"].unique()) == 1
         assert not episode["next", "done"][:-1].any()
     assert int(log["next", "done"].sum()) == trainer.runs[0].episodes
     with (tmp_path / "metrics.csv").open() as file:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from carrl.errors import CarrlError, LogError
-from carrl.log.selection import Selection
+from carrl.log.codec import Selection
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]

@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from carrl.errors import LogError
+from carrl.log.codec import Selection
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
-from carrl.log.selection import Selection
 from carrl.log.trace import EpisodeTrace, read_trace
 
 

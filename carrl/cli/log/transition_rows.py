@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.log.codec import Columns
-from carrl.log.schema import COLUMNS, Column
+from carrl.log.schema import Column, Schema
 
 
-def transition_rows(columns: Columns) -> Iterator[dict[str, Any]]:
+def transition_rows(columns: Columns, schema: Schema) -> Iterator[dict[str, Any]]:
     """Yields a dictionary for each transition, with lists of numbers in it where a column has a width above 1."""
-    names = [column.name for column in COLUMNS]
-    values = [_listed(column, columns[column.name]) for column in COLUMNS]
+    names = [column.name for column in schema.columns]
+    values = [_listed(column, columns[column.name]) for column in schema.columns]
     for row in zip(*values, strict=True):
         yield dict(zip(names, row, strict=True))
 

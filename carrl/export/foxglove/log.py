@@ -44,7 +44,7 @@ def _properties(trace: EpisodeTrace, title: str) -> dict[str, str]:
     return {
         "title": title,
         "episode": str(trace.episode),
-        "car": str(trace.env),
+        "car": str(trace.car),
         "track": trace.track.name,
         "steps": str(len(trace)),
         "episode_return": f"{trace.rewards.sum():g}",

@@ -57,7 +57,7 @@ def _properties(trace: EpisodeTrace) -> rr.AnyValues:
     """What the viewer shows of the recording as a whole."""
     return rr.AnyValues(
         episode=trace.episode,
-        car=trace.env,
+        car=trace.car,
         track=trace.track.name,
         steps=len(trace),
         episode_return=float(trace.rewards.sum()),

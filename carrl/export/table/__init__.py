@@ -9,8 +9,8 @@ from carrl.export.table.csv_file import write_csv
 from carrl.export.table.npz_file import write_npz
 from carrl.export.table.parquet_file import write_parquet
 from carrl.files import appearing_whole
+from carrl.log.codec import Selection
 from carrl.log.reader import Log
-from carrl.log.selection import Selection
 
 Writer: TypeAlias = Callable[[Path, Log, Selection], int]
 

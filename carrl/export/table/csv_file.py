@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.export.table.table_columns import table_columns
+from carrl.log.codec import Selection
 from carrl.log.reader import Log
-from carrl.log.selection import Selection
 
 
 def write_csv(path: Path, log: Log, selection: Selection) -> int:

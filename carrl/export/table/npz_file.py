@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from carrl.log.codec import Selection
 from carrl.log.reader import Log
-from carrl.log.selection import Selection
 
 
 def write_npz(path: Path, log: Log, selection: Selection) -> int:

@@ -6,10 +6,9 @@ from typing import Any
 
 from carrl.errors import CarrlError
 from carrl.export.table.table_columns import TableColumn, table_columns
-from carrl.log.codec import Columns
-from carrl.log.metadata import ATTACHMENT, CHECKSUM
+from carrl.log.codec import Columns, Selection
+from carrl.log.log_file import ATTACHMENT, CHECKSUM
 from carrl.log.reader import Log
-from carrl.log.selection import Selection
 
 GROUP_ROWS = 2**17
 """The least number of rows in a group, the last one apart: large enough to be read fast, and held in memory at once."""

@@ -9,12 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.errors import DamagedLogError
 from carrl.log.reader import Log
-from carrl.log.schema import COLUMNS, Column
-from carrl.log.trace import read_scene
+from carrl.log.schema import Column
 
-_UNITS = {"pose_x": "m", "pose_y": "m", "pose_heading": "rad", "time_ns": "ns"}
+_UNITS = {
+    **{
+        f"{prefix}{name}": unit
+        for prefix in ("state_", "next_state_")
+        for name, unit in (("x", "m"), ("y", "m"), ("heading", "rad"))
+    },
+    "time_ns": "ns",
+}
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,7 @@ class TableColumn:
     """One column of the table.
 
     Attributes:
-        name: its heading, such as `pose_x`.
+        name: its heading, such as `state_x`.
         source: the log's column that it is taken from.
         index: of the value within a transition's row of values; None if the log has one value for each transition.
     """
@@ -45,34 +50,19 @@ class TableColumn:
 def table_columns(log: Log) -> list[TableColumn]:
     """The columns of a log's table, in the order of the log's.
 
-    A column of one value keeps its name; one of several has its part's name after its own: `pose_x`,
-    `action_value_left`, `reward_gate`; or its part's number where parts have no names: `observation_0`.
+    A column of one value keeps its name; one of several has its entry's name after its own: `state_x`,
+    `action_value_left`, `reward_gate`; or its entry's number where entries have no names: `observation_0`.
     """
-    parts, shapes = _part_names(log), log.row_shapes
-    return [
-        table_column
-        for column in COLUMNS
-        for table_column in _columns_of(column, shapes[column.name], parts.get(column.name, ()))
-    ]
+    return [table_column for column in log.schema.columns for table_column in _columns_of(column)]
 
 
-def _columns_of(column: Column, shape: tuple[int, ...], names: Sequence[str]) -> list[TableColumn]:
-    if shape == ():
+def _columns_of(column: Column) -> list[TableColumn]:
+    if column.shape == ():
         return [TableColumn(column.name, column, None)]
-    if column.shape == (1,):
+    names: Sequence[str] = column.entries
+    if column.width == 1 and not names:
         return [TableColumn(column.name, column, 0)]
-    (width,) = shape
-    if len(names) != width or len(set(names)) != width:
-        names = [str(index) for index in range(width)]
+    if len(set(names)) != column.width:
+        names = [str(index) for index in range(column.width)]
     stem = "reward" if column.name == "reward_terms" else column.name
     return [TableColumn(f"{stem}_{name}", column, index) for index, name in enumerate(names)]
-
-
-def _part_names(log: Log) -> dict[str, Sequence[str]]:
-    """What the values of a row are called, by column, so far as the log says."""
-    names: dict[str, Sequence[str]] = {"pose": ("x", "y", "heading")}
-    try:
-        scene = read_scene(log)
-    except DamagedLogError:
-        return names
-    return names | {"action_value": scene.action_names, "reward_terms": scene.reward_terms}

@@ -82,16 +82,8 @@ class World:
     def _walls(self) -> list[Floats]:
         return connected_walls(self.trace.track)
 
-    @cached_property
-    def _passings(self) -> list[tuple[int, int]]:
-        """Step after which a gate had been passed, and the gate: the nearest one, as the log does not number them."""
-        steps = np.flatnonzero(np.diff(self.trace.gates_passed) > 0)
-        middles = self.trace.track.gates.mean(axis=1)
-        distances = np.linalg.norm(self.trace.poses[steps + 1, None, :2] - middles, axis=-1)
-        return list(zip(steps.tolist(), distances.argmin(axis=1).tolist(), strict=True))
-
     def _draw_ground(self, canvas: Canvas, view: View, step: int) -> None:
-        lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
+        lit = [gate for passed, gate in self.trace.passings if gate >= 0 and passed < step <= passed + FLASH]
         draw_ground(canvas, view, self._walls, self.trace.track.gates, lit)
         draw_scale_bar(canvas, view, left=OVERVIEW.right + 20 if self._follows else 24)
 

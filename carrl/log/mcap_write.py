@@ -16,27 +16,32 @@ from pathlib import Path
 from typing import NamedTuple
 
 import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     Channel,
     Chunk,
     DataEnd,
+    Footer,
     Header,
     McapRecord,
     Message,
     MessageIndex,
     Metadata,
     Schema,
+    Statistics,
+    SummaryOffset,
 )
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.files import open_itself
-from carrl.log.mcap_summary import Summary, read_back, serialise
+from carrl.log.mcap_records import HEAD, Content, McapIndex, parse, records
 
 LIBRARY = "carrl"
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS_BYTES = 22
+_FOOTER_START = struct.Struct("<BQQQ")
 _READ_AT_ONCE = 2**24
 
 
@@ -61,14 +66,14 @@ class McapFile:
 
     Raises:
         OSError: the file cannot be made or opened; appending raises OSError, too.
-        ValueError: the path is none, or the file is not as it was at the position.
+        ValueError: the path is invalid, or the file is not as it was at the position.
     """
 
     def __init__(self, path: Path, position: Position | None = None) -> None:
         """Begins the file, or goes on with it."""
         mode = "w+b" if position is None else "r+b"
         self._file = open(path, mode, buffering=0, opener=open_itself)  # noqa: SIM115 (closed in close)
-        self._summary = Summary()
+        self._index = McapIndex()
         self._compressor = zstandard.ZstdCompressor(level=3)
         self._crc = self.size = 0
         try:
@@ -98,20 +103,14 @@ class McapFile:
         """Appends a whole file, at time 0."""
         self._add(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content))
 
-    def add_channel(self, topic: str, schema_name: str, schema: bytes, entries: Mapping[str, str]) -> None:
-        """Appends a topic of protobuf messages; the first one's channel has the number 1, and so on.
+    def add_channel(self, schema: Schema, channel: Channel) -> None:
+        """Appends a topic; both records are in the summary again, and so under its CRC."""
+        self._add(schema)
+        self._add(channel)
 
-        The entries are in the summary again, and so under its CRC.
-        """
-        number = len(self._summary.channels) + 1
-        self._add(Schema(id=number, name=schema_name, encoding="protobuf", data=schema))
-        self._add(
-            Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=dict(entries))
-        )
-
-    def add_chunk(self, messages: Sequence[Message]) -> None:
-        """Appends one or more messages as one compressed chunk with its index."""
-        content, indices = _pack(messages)
+    def add_chunk(self, messages: Sequence[Message], beginning: bytes = b"") -> None:
+        """Appends messages as one compressed chunk with its index, behind the records that it is to begin with."""
+        content, indices = _pack(messages, beginning)
         times = [message.log_time for message in messages]
         chunk = Chunk(
             compression="zstd",
@@ -121,12 +120,19 @@ class McapFile:
             uncompressed_crc=zlib.crc32(content),
             uncompressed_size=len(content),
         )
-        self._add(chunk, indices)
+        packed, offset = serialise(chunk), self.size
+        index_records = [serialise(index) for index in indices]
+        self._append(packed + b"".join(index_records))
+        self._index.add_chunk(chunk, offset, len(packed))
+        place = offset + len(packed)
+        for index, record in zip(indices, index_records, strict=True):
+            self._index.add_messages(index.channel_id, len(index.records), place, len(record))
+            place += len(record)
 
     def finish(self) -> None:
         """Completes the file with its summary; nothing can be appended afterwards."""
         data_end = serialise(DataEnd(data_section_crc=self._crc))
-        self._append(data_end + self._summary.ending(self.size + len(data_end)))
+        self._append(data_end + _ending(self._index, self.size + len(data_end)))
 
     def sync(self) -> None:
         """Waits until what is written is on the disk itself, where it outlives the machine's power."""
@@ -142,10 +148,9 @@ class McapFile:
         """Closes the file as it is; a second call does nothing."""
         self._file.close()
 
-    def _add(self, record: McapRecord, indices: Sequence[MessageIndex] = ()) -> None:
+    def _add(self, record: McapRecord) -> None:
         content = serialise(record)
-        offset = self._append(content + serialise(*indices))
-        self._summary.add(record, offset, len(content), indices)
+        self._index.add(record, self._append(content), len(content))
 
     def _go_on_at(self, position: Position) -> None:
         if os.fstat(self._file.fileno()).st_size < position.size or position.size < len(MCAP0_MAGIC):
@@ -156,7 +161,7 @@ class McapFile:
                 crc = zlib.crc32(content[offset : min(offset + _READ_AT_ONCE, position.size)], crc)
             if crc != position.crc:
                 raise ValueError(f"its first {position.size} bytes are others than were written")
-            self._summary = read_back(content, position.size)
+            self._index = _index_up_to(content, position.size)
         os.ftruncate(self._file.fileno(), position.size)
         self.size, self._crc = position
 
@@ -174,6 +179,14 @@ class McapFile:
         return offset
 
 
+def serialise(*written: McapRecord) -> bytes:
+    """The records as bytes, one after the other."""
+    builder = RecordBuilder()
+    for record in written:
+        record.write(builder)
+    return bytes(builder.end())
+
+
 def _write_at(descriptor: int, content: bytes, offset: int) -> None:
     rest = memoryview(content)
     while rest:
@@ -181,11 +194,11 @@ def _write_at(descriptor: int, content: bytes, offset: int) -> None:
         rest, offset = rest[written:], offset + written
 
 
-def _pack(messages: Sequence[Message]) -> tuple[bytes, list[MessageIndex]]:
+def _pack(messages: Sequence[Message], beginning: bytes) -> tuple[bytes, list[MessageIndex]]:
     """The content of a chunk and, for each channel, where in it its messages begin."""
-    parts: list[bytes] = []
+    parts: list[bytes] = [beginning]
     places: dict[int, list[tuple[int, int]]] = {}
-    size = 0
+    size = len(beginning)
     for message in messages:
         places.setdefault(message.channel_id, []).append((message.log_time, size))
         head = _MESSAGE_HEAD.pack(
@@ -199,3 +212,61 @@ def _pack(messages: Sequence[Message]) -> tuple[bytes, list[MessageIndex]]:
         parts += (head, message.data)
         size += len(head) + len(message.data)
     return b"".join(parts), [MessageIndex(channel_id=channel, records=found) for channel, found in places.items()]
+
+
+def _index_up_to(content: Content, size: int) -> McapIndex:
+    """The index of an unfinished file's records up to `size` bytes.
+
+    Raises:
+        ValueError: these are not whole records.
+    """
+    index = McapIndex()
+    for opcode, begin, end in records(content, len(MCAP0_MAGIC), size):
+        record, offset, length = parse(opcode, content[begin:end]), begin - HEAD.size, end - begin + HEAD.size
+        if isinstance(record, Chunk):
+            index.add_chunk(record, offset, length)
+        elif isinstance(record, MessageIndex):
+            index.add_messages(record.channel_id, len(record.records), offset, length)
+        else:
+            index.add(record, offset, length)
+    return index
+
+
+def _ending(index: McapIndex, begin: int) -> bytes:
+    """The summary section, which begins at `begin`, with its offsets, the footer and the closing magic."""
+    groups: dict[Opcode, Sequence[McapRecord]] = {
+        Opcode.SCHEMA: list(index.schemas.values()),
+        Opcode.CHANNEL: list(index.channels.values()),
+        Opcode.STATISTICS: [_statistics(index)],
+        Opcode.CHUNK_INDEX: index.chunks,
+        Opcode.ATTACHMENT_INDEX: index.attachments,
+        Opcode.METADATA_INDEX: index.metadata,
+    }
+    content, offsets = b"", []
+    for opcode, members in groups.items():
+        group = serialise(*members)
+        if group:
+            place = SummaryOffset(group_opcode=opcode, group_start=begin + len(content), group_length=len(group))
+            offsets.append(place)
+        content += group
+    offset_start = begin + len(content)
+    content += serialise(*offsets)
+    footer_start = _FOOTER_START.pack(Opcode.FOOTER, 20, begin, offset_start)
+    crc = zlib.crc32(footer_start, zlib.crc32(content))
+    footer = Footer(summary_start=begin, summary_offset_start=offset_start, summary_crc=crc)
+    return content + serialise(footer) + MCAP0_MAGIC
+
+
+def _statistics(index: McapIndex) -> Statistics:
+    """How many records and messages there are, and from when to when."""
+    return Statistics(
+        attachment_count=len(index.attachments),
+        channel_count=len(index.channels),
+        channel_message_counts=dict(index.messages),
+        chunk_count=len(index.chunks),
+        message_count=index.messages.total(),
+        message_start_time=min((chunk.message_start_time for chunk in index.chunks), default=0),
+        message_end_time=max((chunk.message_end_time for chunk in index.chunks), default=0),
+        metadata_count=len(index.metadata),
+        schema_count=len(index.schemas),
+    )
