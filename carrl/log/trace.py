@@ -155,7 +155,7 @@ def read_scene(log: Log) -> Scene:
     numbers = {name: int(match[1] or 0) for name in own if (match := _TRACK_NAME.fullmatch(name))}
     try:
         tracks = [TrackShape.from_json(log.attachment(name)) for name in sorted(numbers, key=numbers.__getitem__)]
-        return Scene.from_entries(log.metadata, tracks)
+        return Scene.from_entries(log.scene_entries, tracks)
     except ValueError as error:
         raise _undescribed(log, str(error)) from error
 
