@@ -54,7 +54,7 @@ def test_the_extremes_of_each_integer_column_survive(tmp_path, transitions):
     batch = transitions(2)
     batch["episode"] = torch.tensor([INT64.min, INT64.max])
     batch["time_ns"] = torch.tensor([0, INT64.max])
-    for key in ("action", "step", "env", "track"):
+    for key in ("action", "step", "car", "track"):
         batch[key] = torch.tensor([INT32.min, INT32.max])
     write(tmp_path / "a.mcap", batch)
     assert_same_bits(load(tmp_path / "a.mcap"), batch)

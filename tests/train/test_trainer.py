@@ -14,9 +14,9 @@ from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
+from carrl.train.provenance import dqn_columns, log_schema
 from carrl.train.trainer import Trainer
 from tests.configs import compose
-from tests.logs import make_schema
 
 
 def train(folder, *overrides):
@@ -25,10 +25,11 @@ def train(folder, *overrides):
     pipeline = build_pipeline(config)
     with ExitStack() as stack:
         folders = []
+        schema = log_schema(pipeline.env, dqn_columns(pipeline.world.action.names))
         for agent in pipeline.agents:
             path = folder / str(agent.seed) if len(pipeline.agents) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)
-            recorder = LogWriter(path / "train.mcap", schema=make_schema(), attachments={}, metadata={})
+            recorder = LogWriter(path / "train.mcap", schema=schema, attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
         trainer.run(lambda _: None)
