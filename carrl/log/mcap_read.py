@@ -103,6 +103,16 @@ class IndexedFile:
         """Closes the file."""
         self._file.close()
 
+    @property
+    def places(self) -> dict[int, list[int]]:
+        """Where the chunks, attachments and metadata records begin, by opcode, bytes from the file's begin."""
+        chunks = [chunk.chunk_start_offset for chunk in self.index.chunks]
+        return {
+            Opcode.CHUNK: [place for place in chunks if place not in self.index.stretches],
+            Opcode.ATTACHMENT: [entry.offset for entry in self.index.attachments],
+            Opcode.METADATA: [entry.offset for entry in self.index.metadata],
+        }
+
     def read_metadata(self, entry: MetadataIndex) -> Metadata:
         """A metadata record; MCAP keeps no CRC of it."""
         record = self._read_entry(entry.offset, entry.length, Opcode.METADATA)

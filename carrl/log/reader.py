@@ -7,6 +7,7 @@ Shape letters: `T` transitions.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -128,18 +129,6 @@ class Log:
                 return content
         raise LogError(f"log '{self.path}': has no attachment '{name}'; it has: {quoted_names(self.attachments)}")
 
-    @property
-    def places(self) -> Mapping[str, list[int]]:
-        """Where the chunks, attachments and metadata records begin, bytes from the file's begin."""
-        index = self._file.index
-        return {
-            "chunk": [
-                chunk.chunk_start_offset for chunk in index.chunks if chunk.chunk_start_offset not in index.stretches
-            ],
-            "attachment": [entry.offset for entry in index.attachments],
-            "metadata": [entry.offset for entry in index.metadata],
-        }
-
     def batches(self, selection: Selection = EVERYTHING) -> Iterator[Columns]:
         """Yields the selected transitions in the order of writing, some thousands at a time.
 
@@ -184,12 +173,10 @@ class Log:
 
     def _small(self, topic: str) -> Iterator[Episode | Metrics]:
         for message in self._raw(topic):
-            try:
+            with self._naming(message, topic):
                 run, small = decode_small(topic, message.data)
                 self._check_run(run)
-                yield small
-            except ValueError as error:
-                raise self._wrong(f"message {message.sequence} of {topic} is wrong: {error}") from error
+            yield small
 
     def _raw(self, topic: str) -> Iterator[Message]:
         for chunk in self._chunks_with(topic):
@@ -198,12 +185,19 @@ class Log:
     def _decoded(self, chunks: Iterable[ChunkIndex]) -> Iterator[Batch]:
         for chunk in chunks:
             for message in self._messages(chunk, TRANSITIONS):
-                try:
+                with self._naming(message):
                     batch = Batch.decode(message.data, self.file_schema)
                     self._check_run(batch.run)
-                    yield batch
-                except ValueError as error:
-                    raise self._wrong(f"message {message.sequence} is wrong: {error}") from error
+                yield batch
+
+    @contextmanager
+    def _naming(self, message: Message, topic: str = "") -> Iterator[None]:
+        """Says which message it is that is wrong."""
+        try:
+            yield
+        except ValueError as error:
+            of = f" of {topic}" if topic else ""
+            raise self._wrong(f"message {message.sequence}{of} is wrong: {error}") from error
 
     def _check_run(self, run: int) -> None:
         if f"{run:016x}" != self.metadata.get("run"):
@@ -250,10 +244,9 @@ class Log:
     def _episode_spans(self) -> Iterator[tuple[int, int, int]]:
         """Number, begin and end, ns, of each ended episode."""
         for message in self._raw(EPISODES):
-            try:
-                yield episode_span(message.data)
-            except ValueError as error:
-                raise self._wrong(f"message {message.sequence} of {EPISODES} is wrong: {error}") from error
+            with self._naming(message, EPISODES):
+                span = episode_span(message.data)
+            yield span
 
     @cached_property
     def _end_batches(self) -> list[Batch]:
@@ -321,10 +314,8 @@ class Log:
         """The columns of the file: as its channels describe them, or for version 2 as its first message shows them."""
         if self.version == version2.VERSION:
             for message in self._raw(TRANSITIONS):
-                try:
+                with self._naming(message):
                     return version2.file_schema(message.data)
-                except ValueError as error:
-                    raise self._wrong(f"message {message.sequence} is wrong: {error}") from error
             return version2.NO_WIDTHS
         channels = [channel for channel in self._file.index.channels.values() if channel.topic == TRANSITIONS]
         descriptions = {channel.metadata.get(COLUMNS_ENTRY, "") for channel in channels}

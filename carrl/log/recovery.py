@@ -16,7 +16,7 @@ from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
-from mcap.records import Attachment, ChunkIndex, Message
+from mcap.records import Attachment, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
@@ -34,12 +34,11 @@ from carrl.log.schema import (
     METADATA_NAME,
     METRICS,
     RECOVERY_NAME,
+    TOPICS,
     TRANSITIONS,
     Schema,
     bare_schema,
 )
-
-_TOPICS = {number: topic for topic, number in CHANNELS.items()}
 
 
 @dataclass(frozen=True)
@@ -187,14 +186,15 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
     named = {key.removeprefix(ATTACHMENT) for key in entries or {} if key.startswith(ATTACHMENT)}
     own = sorted(place for place in pieces.places if place.run == run)
     schema = _schema_of(content, pieces, own, entries)
-    entries_or_new = entries or describe(run, 0, {}, attachments, schema.version)
-    file = begin_log(path, entries_or_new, attachments, schema)
+    file = begin_log(path, entries or describe(run, 0, {}, attachments, schema.version), attachments, schema)
     told = {chunk.chunk_start_offset: chunk for chunk in index.chunks} if index else {}
     try:
         copy = _Copy(file, run, schema)
         for place in own:
             found = [decoded for decoded in pieces.channels.decoded(unpacked(content, place)) if decoded]
-            copy.add(found, _TOPICS[place.channel], is_counted=_is_of(place, told.get(place.position)))
+            entry = told.get(place.position)  # another chunk may have been put in its place
+            is_counted = entry is not None and entry.message_start_time <= place.end_time <= entry.message_end_time
+            copy.add(found, TOPICS[place.channel], is_counted)
         recovery = Recovery(
             finished=index is not None,
             transitions=copy.written[TRANSITIONS],
@@ -205,8 +205,8 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
             metadata_lost=entries is None,
             attachments=tuple(attachments),
             attachments_lost=tuple(sorted(named - attachments.keys())),
-            chunks_lost=_chunks_lost(index, pieces),
-            messages_lost=_messages_lost(_expected(index, run), copy),
+            chunks_lost=len(told.keys() - index.stretches - pieces.chunks) if index else 0,
+            messages_lost=copy.lost_of(_expected(index, run)),
             transitions_left_out=copy.transitions_left_out,
             unchecked=pieces.unchecked,
             runs_left_out=tuple(f"{other:016x}" for other in sorted(pieces.runs - {run})),
@@ -225,18 +225,13 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
 def _schema_of(content: Content, pieces: Pieces, own: list[Place], entries: Mapping[str, str] | None) -> Schema:
     """The columns of a run: those of its first transitions, or else what may be known without any."""
     for place in own:
-        if _TOPICS[place.channel] == TRANSITIONS:
+        if TOPICS[place.channel] == TRANSITIONS:
             for decoded in pieces.channels.decoded(unpacked(content, place)):
                 if decoded and decoded.batch and decoded.run == place.run:
                     return decoded.batch.schema
     if entries and entries.get("format_version") == str(version2.VERSION):
         return version2.NO_WIDTHS
     return next(iter(pieces.channels.schemas), bare_schema())
-
-
-def _is_of(place: Place, told: ChunkIndex | None) -> bool:
-    """Whether this is the chunk that the index tells of there; another may have been put in its place."""
-    return told is not None and told.message_start_time <= place.end_time <= told.message_end_time
 
 
 def _expected(index: McapIndex | None, run: int) -> Counter[str]:
@@ -249,10 +244,6 @@ def _expected(index: McapIndex | None, run: int) -> Counter[str]:
     return expected
 
 
-def _messages_lost(expected: Counter[str], copy: "_Copy") -> int:
-    return sum(max(0, count - max(copy.found[topic], copy.counted[topic])) for topic, count in expected.items())
-
-
 def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, written: Counter[str]) -> tuple[str, ...]:
     """The topics that a finished file lacks, and that of transitions where episodes ended and not one is left.
 
@@ -263,13 +254,6 @@ def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, wri
     if is_first and written[EPISODES] and not written[TRANSITIONS]:
         topics.discard(TRANSITIONS)
     return tuple(topic for topic in CHANNELS if topic not in topics)
-
-
-def _chunks_lost(index: McapIndex | None, pieces: Pieces) -> int:
-    if index is None:
-        return 0
-    told = {chunk.chunk_start_offset for chunk in index.chunks} - index.stretches
-    return len(told - pieces.chunks)
 
 
 def _others(content: Content, pieces: Pieces, index: McapIndex | None) -> Iterator[str]:
@@ -316,6 +300,10 @@ class _Copy:
     @property
     def episodes_lost(self) -> int:
         return max(0, self._highest[EPISODES] - self.written[EPISODES])
+
+    def lost_of(self, expected: Counter[str]) -> int:
+        """How many of so many messages of each topic were not found."""
+        return sum(max(0, count - max(self.found[topic], self.counted[topic])) for topic, count in expected.items())
 
     def add(self, found: Iterable[Decoded], topic: str, is_counted: bool) -> None:
         """Appends what is of the topic; its statistics count what is in a chunk that the file's index tells of."""

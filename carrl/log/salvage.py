@@ -36,12 +36,11 @@ from carrl.log.mcap_records import (
     unpacked_bytes,
 )
 from carrl.log.messages import Episode, Metrics
-from carrl.log.schema import CHANNELS, COLUMNS_ENTRY, METADATA_NAME, SMALL_MESSAGES, TRANSITIONS, Schema
+from carrl.log.schema import CHANNELS, COLUMNS_ENTRY, METADATA_NAME, SMALL_MESSAGES, TOPICS, TRANSITIONS, Schema
 
 Content = mmap.mmap
 """A file's bytes, of which those looked at are in memory."""
 
-_TOPICS = {number: topic for topic, number in CHANNELS.items()}
 _MAX_MESSAGES = 2**17
 """How many messages of a chunk are read; the writer's have some ten thousand."""
 _CHANNEL = re.compile(
@@ -135,7 +134,7 @@ class Channels:
 
     def _decode(self, message: Message) -> Decoded | None:
         known = self._topics.get(message.channel_id)
-        for topic in known or [_TOPICS.get(message.channel_id, "")]:
+        for topic in known or [TOPICS.get(message.channel_id, "")]:
             if topic == TRANSITIONS and (batch := self._batch(message.data)):
                 return Decoded(message, topic, batch.run, batch=batch)
             if topic in SMALL_MESSAGES:
@@ -314,22 +313,19 @@ def _add_unchecked(pieces: Pieces, content: Content, index: McapIndex) -> None:
 
 
 def _add_places(pieces: Pieces, position: int, content: bytes, stretch: int = 0) -> int:
+    """Notes the messages of a chunk by run and topic, and tells how many there are."""
     found: dict[tuple[int, str], tuple[int, int, int]] = {}  # latest time, least number, transitions
-    messages = list(map(_digest, pieces.channels.decoded(content)))
-    for key, end_time, number, transitions in filter(None, messages):
-        latest, least, so_far = found.get(key, (end_time, number, 0))
-        found[key] = (max(latest, end_time), min(least, number), so_far + transitions)
+    count = 0
+    for decoded in pieces.channels.decoded(content):
+        count += 1
+        if decoded is not None:
+            key, time, number = (decoded.run, decoded.topic), decoded.message.log_time, decoded.number
+            latest, least, so_far = found.get(key, (time, number, 0))
+            transitions = decoded.batch.count if decoded.batch else 0
+            found[key] = max(latest, time), min(least, number), so_far + transitions
     for (run, topic), (end_time, number, transitions) in found.items():
         pieces.places.append(Place(end_time, CHANNELS[topic], number, position, run, transitions, stretch))
-    return len(messages)
-
-
-def _digest(decoded: Decoded | None) -> tuple[tuple[int, str], int, int, int] | None:
-    """What a place tells of a message: run and topic, time, number, transitions."""
-    if decoded is None:
-        return None
-    transitions = decoded.batch.count if decoded.batch else 0
-    return (decoded.run, decoded.topic), decoded.message.log_time, decoded.number, transitions
+    return count
 
 
 def _parsed_at(content: Content, position: int) -> tuple[McapRecord | None, int]:

@@ -52,6 +52,7 @@ MESSAGE_NAMES: Mapping[str, str] = {
 
 CHANNELS: Mapping[str, int] = {topic: number for number, topic in enumerate(MESSAGE_NAMES, start=1)}
 """The number of each topic's channel in a log that CarRL writes."""
+TOPICS: Mapping[int, str] = {number: topic for topic, number in CHANNELS.items()}
 
 FIRST_COLUMN_FIELD = 4
 """Number of the first column's field; before it come the fields of a whole batch."""

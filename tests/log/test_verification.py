@@ -106,9 +106,9 @@ def test_a_data_section_that_does_not_end_is_noticed(log_path):
 
 def test_an_intact_record_that_the_index_does_not_tell_of_is_noticed(log_path, monkeypatch):
     walk = verification._walk
-    for kind in ("chunk", "attachment", "metadata"):
+    for kind in (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA):
         monkeypatch.setattr(verification, "_walk", lambda path, kind=kind: {**walk(path), kind: [8]})
-        with pytest.raises(DamagedLogError, match=f"its index does not tell where its {kind} records are"):
+        with pytest.raises(DamagedLogError, match=f"its index does not tell where its {kind.name.lower()} records are"):
             verify(log_path)
 
 
