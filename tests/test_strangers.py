@@ -16,8 +16,8 @@ import torch
 
 from carrl.cli.main import main
 from carrl.log.writer import LogWriter
-from carrl.report.choices import HYDRA, OVERRIDES
-from carrl.report.sweeps import SWEEP
+from carrl.report.groups import HYDRA, OVERRIDES
+from carrl.report.problems import SWEEP
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path
 from tests.logs import make_schema
 from tests.strangers import Payload, make_run, proves_harmful, refused

@@ -246,7 +246,7 @@ def _exhausted() -> CarrlError:
 
 
 def _draw_learning_curve(run: AgentRun) -> None:
-    from carrl.render.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
+    from carrl.render.curves import draw_learning_curve  # Here, since Matplotlib takes long to import.
 
     first_lap = run.first_lap.episode if run.first_lap else None
     draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
@@ -266,6 +266,7 @@ def _draw_lap(world: World, run: AgentRun) -> None:
             best.actions,
             action_names=world.action.names,
             body_radius=world.vehicle.body_radius,
+            sensor_range=world.sensor.max_range,
             title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
             collided=best.collided,
         )

@@ -4,7 +4,8 @@ Shapes: `T` steps, `R` rays, `A` actions, `K` terms of the reward.
 """
 
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -31,10 +32,12 @@ class EpisodeTrace:
     Attributes:
         scene: sensors, car and tracks.
         columns: of the log, by name, each [T, ...], in the order of the steps.
+        entries: what the values of a column's row are called, by the name of the column, if they have names.
     """
 
     scene: Scene
     columns: Columns
+    entries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Steps, T."""
@@ -83,21 +86,9 @@ class EpisodeTrace:
         return np.asarray(self.columns["reward_terms"], dtype=np.float64)
 
     @property
-    def action_values(self) -> Floats:
-        """Q-values from which each step's action was chosen, [T, A]; not numbers where the algorithm has none."""
-        if "action_value" not in self.columns:
-            return np.full((len(self), len(self.scene.action_names)), np.nan)
-        return np.asarray(self.columns["action_value"], dtype=np.float64)
-
-    @property
     def exploratory(self) -> NDArray[np.bool_]:
         """Whether each step's action was drawn at random, [T]."""
         return np.asarray(self.columns.get("exploratory", np.zeros(len(self))), dtype=np.bool_)
-
-    @property
-    def epsilon(self) -> Floats:
-        """Probability of a random action at each step, [T]; not a number where the algorithm has none."""
-        return np.asarray(self.columns.get("epsilon", np.full(len(self), np.nan)), dtype=np.float64)
 
     @cached_property
     def times(self) -> Floats:
@@ -186,7 +177,7 @@ def read_trace(log: Log, episode: int) -> EpisodeTrace:
         _check_columns(scene, columns)
     except ValueError as error:
         raise _undescribed(log, str(error)) from error
-    return EpisodeTrace(scene, columns)
+    return EpisodeTrace(scene, columns, {column.name: column.entries for column in log.schema.columns})
 
 
 def _check_columns(scene: Scene, columns: Columns) -> None:

@@ -8,8 +8,7 @@ import pytest
 from carrl.errors import CarrlError
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode_events import direction, episode_events
-from carrl.render.episode_geometry import driven_ways
+from carrl.render.episode import direction, driven_ways, episode_events
 
 
 def with_columns(trace, **columns):

@@ -11,10 +11,9 @@ from PIL import Image
 
 from carrl.errors import CarrlError
 from carrl.log.trace import EpisodeTrace
-from carrl.render.figure import GREEN, VERMILLION, YELLOW
-from carrl.render.video import write_video
-from carrl.render.video.colours import gif_palette
-from carrl.render.video.motion import motion_of
+from carrl.render.colours import GREEN, VERMILLION, YELLOW
+from carrl.render.encoding import gif_palette
+from carrl.render.video import motion_of, write_video
 
 av = pytest.importorskip("av", reason="videos need PyAV, which is not installed")
 

@@ -10,7 +10,7 @@ from carrl.cli.text.sweep import _figures, _result
 from carrl.evaluation.rollout import drive, rule_policy
 from carrl.evaluation.trial import Trial
 from carrl.report.findings import find
-from carrl.report.runs_table import runs_table
+from carrl.report.text import runs_table
 from carrl.train.agent_run import AgentRun, FirstLap
 from carrl.train.build import build_offline_pipeline, build_pipeline
 from carrl.train.folder import RunFolder

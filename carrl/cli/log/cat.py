@@ -7,16 +7,24 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_json, add_selection, add_verb, selection_of, whole_number
-from carrl.cli.log.printable import printable
-from carrl.cli.log.terminal import counted, json_text
-from carrl.cli.log.transition_rows import transition_rows
+from carrl.cli.log.shared import (
+    Verbs,
+    add_json,
+    add_selection,
+    add_verb,
+    counted,
+    json_text,
+    selection_of,
+    transition_rows,
+    whole_number,
+)
 from carrl.errors import DamagedLogError, LogError
 from carrl.log.codec import EVERYTHING, Selection
 from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
 from carrl.log.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
 from carrl.log.trace import read_scene
+from carrl.printable import printable
 
 _LABELS = {"action_value": "Q"}
 _UNSHOWN = ("epsilon", "exploratory")

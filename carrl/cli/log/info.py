@@ -7,8 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb
-from carrl.cli.log.terminal import print_json
+from carrl.cli.log.shared import Verbs, add_json, add_verb, print_json
 from carrl.log import Column, LogSummary, read_summary, version2
 from carrl.log.log_file import ATTACHMENT, CHECKSUM
 from carrl.log.scene import Scene
@@ -51,16 +50,16 @@ def _document(summary: LogSummary) -> dict[str, Any]:
 
 
 def _print_tables(summary: LogSummary) -> None:
-    from carrl.cli.log.console import print_table
+    from carrl.cli.text.terminal_table import print_table
 
     columns = [(c.name, c.dtype, str(list(c.shape)), _meaning(c)) for c in summary.schema.columns]
     topics = [(name, f"{count:,}") for name, count in summary.messages.items()]
     attachments = [(name, f"{size:,}") for name, size in summary.attachments.items()]
-    print_table(str(summary.path), ("", ""), [*_totals(summary), *_run_rows(summary)])
-    print_table("topics", ("topic", "messages"), topics, figures="messages")
-    print_table("columns", ("column", "type", "shape", "meaning"), columns)
-    print_table("attachments", ("name", "bytes"), attachments, figures="bytes")
-    print_table("metadata", ("key", "value"), _other_entries(summary.metadata))
+    print_table(str(summary.path), ("", ""), [*_totals(summary), *_run_rows(summary)], figures=())
+    print_table("topics", ("topic", "messages"), topics)
+    print_table("columns", ("column", "type", "shape", "meaning"), columns, figures=())
+    print_table("attachments", ("name", "bytes"), attachments)
+    print_table("metadata", ("key", "value"), _other_entries(summary.metadata), figures=())
 
 
 def _totals(summary: LogSummary) -> list[tuple[str, str]]:

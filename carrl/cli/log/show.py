@@ -5,11 +5,16 @@ import re
 from pathlib import Path
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_episode, add_json, add_verb
-from carrl.cli.log.chosen_episode import choose_trace
-from carrl.cli.log.printable import printable_trace
-from carrl.cli.log.terminal import print_json
-from carrl.cli.log.transition_rows import transition_rows
+from carrl.cli.log.shared import (
+    Verbs,
+    add_episode,
+    add_json,
+    add_verb,
+    choose_trace,
+    print_json,
+    printable_trace,
+    transition_rows,
+)
 from carrl.errors import LogError
 from carrl.log.reader import Log
 from carrl.log.schema import Schema
@@ -85,7 +90,7 @@ def _document(trace: EpisodeTrace, rows: range, schema: Schema) -> dict[str, Any
 
 
 def _print(trace: EpisodeTrace, rows: range | None) -> None:
-    from carrl.cli.log.console import TextConsole
     from carrl.cli.text.episode_text import print_episode
+    from carrl.cli.text.terminal_table import TextConsole
 
     print_episode(printable_trace(trace), TextConsole(), rows)

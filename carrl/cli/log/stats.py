@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb, check_output
-from carrl.cli.log.printable import printable_scene
-from carrl.cli.log.terminal import print_json
+from carrl.cli.log.shared import Verbs, add_json, add_verb, check_output, print_json, printable_scene
 from carrl.errors import CarrlError, DamagedLogError, LogError
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
@@ -54,8 +52,8 @@ def _draw(path: Path, stats: LogStats, title: str) -> None:
 
 
 def _print(stats: LogStats) -> None:
-    from carrl.cli.log.console import TextConsole
     from carrl.cli.text.log_stats_text import print_log_stats
+    from carrl.cli.text.terminal_table import TextConsole
 
     print_log_stats(dataclasses.replace(stats, scene=printable_scene(stats.scene)), TextConsole())
 

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from carrl.cli.text.terminal_table import print_table
 from carrl.printable import printable
-from carrl.report.summary_file import missing_lap
+from carrl.report.runs import missing_lap
 from carrl.train.agent_run import RECENT_EPISODES
 from carrl.train.offline_trainer import OfflineTrainer
 from carrl.train.trainer import Trainer

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from carrl.cli.text.terminal_table import print_table
 from carrl.printable import printable
-from carrl.report.summary_file import missing_lap
+from carrl.report.runs import missing_lap
 from carrl.train.sweep import JobNote, SweepFolder, read_summaries
 
 _HEADER = ("job", "result", "laps", "first greedy lap", "progress", "reward", "forward", "time")

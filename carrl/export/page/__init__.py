@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode_geometry import steps_of
-from carrl.render.wall_lines import connected_walls
+from carrl.render.episode import EpisodeScene, connected_walls, steps_of
 
 PARTS = Path(__file__).parent
 SCRIPTS = (
@@ -108,7 +107,7 @@ def _json_in_html(document: dict[str, Any]) -> str:
 def _episode(trace: EpisodeTrace) -> dict[str, Any]:
     """What `episode.js` reads: names and single numbers as JSON, the rest as arrays."""
     scene, track = trace.scene, trace.track
-    lines = connected_walls(track)
+    lines, columns = connected_walls(track), EpisodeScene(trace).columns
     return {
         "episode": trace.episode,
         "car": trace.car,
@@ -124,6 +123,7 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
         "trackLength": track.length,
         "bounds": track.bounds,
         "wallLines": [len(line) for line in lines],
+        "series": [{"title": _capitalised(series.title), "entries": series.entries} for series in columns],
         "gatesBefore": int(trace.gates_passed[0]),  # of the record
         "passings": trace.passings,  # row of the step, index of the gate
         "arrays": {
@@ -136,12 +136,15 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
             "times": _packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
             "actions": _packed(trace.actions, "|u1"),  # [T]
             "exploratory": _packed(trace.exploratory, "|u1"),  # [T]
-            "values": _packed(trace.action_values, "<f4"),  # [T, A]
             "rewards": _packed(trace.rewards, "<f4"),  # [T]
             "terms": _packed(trace.reward_terms, "<f4"),  # [T, K]
-            "epsilons": _packed(trace.epsilon, "<f4"),  # [T]
+            **{f"series{index}": _packed(series.values, "<f4") for index, series in enumerate(columns)},  # [T, N]
         },
     }
+
+
+def _capitalised(title: str) -> str:
+    return title[:1].upper() + title[1:]
 
 
 def _packed(values: ArrayLike, kind: str) -> list[str]:

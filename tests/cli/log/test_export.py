@@ -82,7 +82,7 @@ def test_parquet_holds_the_same_table_with_units_and_the_runs_metadata(run, log_
 
 def test_parquet_gathers_batches_into_groups(run, log_path, tmp_path, monkeypatch):
     parquet = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr("carrl.export.table.parquet_file.GROUP_ROWS", 20)
+    monkeypatch.setattr("carrl.export.tables.GROUP_ROWS", 20)
     run("export", log_path, tmp_path / "a.parquet")
     metadata = parquet.read_metadata(tmp_path / "a.parquet")
     assert [metadata.row_group(index).num_rows for index in range(metadata.num_row_groups)] == [21, 21, 12]
@@ -154,8 +154,8 @@ def test_an_episode_becomes_a_video_or_a_file_for_a_viewer(run, log_path, tmp_pa
 
 @pytest.mark.parametrize(("ending", "package"), [("parquet", "pyarrow"), ("gif", "av"), ("mcap", "foxglove")])
 def test_a_package_that_is_missing_is_named_with_its_remedy(refused, log_path, tmp_path, monkeypatch, ending, package):
-    for name in [name for name in sys.modules if name.startswith("carrl.export.foxglove.")]:
-        monkeypatch.delitem(sys.modules, name)
+    for name in ("carrl.export.foxglove", "carrl.export.rerun"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     assert "pip install 'carrl[export]'" in refused("export", log_path, tmp_path / f"a.{ending}")
     assert os.listdir(tmp_path) == []
@@ -209,7 +209,7 @@ def test_an_export_that_fails_half_way_leaves_the_old_file(refused, log_path, tm
         raise OSError(28, "No space left on device")
 
     (tmp_path / "a.csv").write_text("old")
-    monkeypatch.setattr("carrl.export.table.csv_file._texts", fail)
+    monkeypatch.setattr("carrl.export.tables._texts", fail)
     assert "cannot be written: No space left on device" in refused("export", log_path, tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text() == "old"
     assert os.listdir(tmp_path) == ["a.csv"]

@@ -19,7 +19,7 @@ def document(run, log_path):
 
 def test_by_default_it_prints_the_episode_with_the_highest_return(run, log_path):
     printed = run("show", log_path)
-    for words in ("episode 2", "square", "12 steps", "return 200", "4 gates", "time limit", "forward", "Q-values"):
+    for words in ("episode 2", "square", "12 steps", "return 200", "4 gates", "time limit", "forward", "action value"):
         assert words in printed
 
 
