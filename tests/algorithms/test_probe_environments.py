@@ -97,7 +97,7 @@ def make_algorithm(option, target=TARGET):
     exploration = ConstantEpsilonGreedy(
         0.0, action_spec=Categorical(ACTIONS, dtype=torch.int64), generators=[torch.Generator()]
     )
-    return DQN([Replicate(0, network, loss, optimizer, target(loss=loss))], exploration)
+    return DQN([Replicate(0, network, loss, optimizer, target(loss=loss))], exploration, ("a", "b", "c"))
 
 
 def learnt(algorithm, batch=BATCH, updates=300):
