@@ -217,6 +217,11 @@ class Track:
             bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
         )
 
+    @property
+    def road(self) -> Tensor:
+        """The centreline, the left and the right wall side by side, [P, 3, 2], float32, m."""
+        return torch.stack([self.centreline, self.left_wall, self.right_wall], dim=1)
+
     @cached_property
     def walls(self) -> Tensor:
         """Every wall as a pair of end points, left walls first, [S, 2, 2], float32, m; none without length."""
@@ -248,7 +253,7 @@ class Track:
 
     def room_at(self, stations: Tensor) -> Tensor:
         """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
-        return self._route.room(self._only(stations), stations)
+        return self._route.clearance(self._only(stations), stations)
 
     def next_gate(self, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
@@ -281,7 +286,7 @@ class Track:
 
     @cached_property
     def _route(self) -> Routes:
-        return Routes([self])
+        return Routes([self.road], [self.gate_count])
 
     @staticmethod
     def _only(stations: Tensor) -> Tensor:
