@@ -186,9 +186,9 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
     ended = course.collided | simulator.has_lapped(course.cars)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
-    near = reward.near_wall.is_near_wall(course.ranges[1:] / simulator.sensor.max_range)
+    near = reward.near_wall.is_near_wall(simulator.sensor.readings(course.ranges[1:]))
     lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
-    steer = _steer(task, course.action)
+    steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
     progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
@@ -213,10 +213,3 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
             )
         )
     return drives
-
-
-def _steer(task: Task, action: Tensor) -> Tensor:
-    """The control `steer` of actions [T, B, ...]: [T, B]; 0 for a car that is not steered."""
-    controls, names = task.action.controls(action.flatten(0, 1)), task.simulator.vehicle.control_names
-    steer = controls[:, names.index("steer")] if "steer" in names else torch.zeros_like(controls[:, 0])
-    return steer.view(action.shape[:2])
