@@ -1,8 +1,5 @@
 """Every YAML file is a working choice, explained key by key."""
 
-import ast
-from pathlib import Path
-
 import pytest
 import yaml
 
@@ -107,20 +104,3 @@ def test_a_wrong_value_is_one_clear_sentence(values, message):
 
 def test_whole_numbers_may_stand_for_floats():
     assert build_node("sensor", {"_target_": "carrl.sim.sensor.Sensor", "max_range": 5}).max_range == 5
-
-
-ORDER = ["sim", "env", "agent", "data", "record", "run", "view", "cli"]
-
-
-@pytest.mark.parametrize("path", sorted(Path("carrl").rglob("*.py")), ids=str)
-def test_imports_follow_the_flow_of_data(path):
-    if path.parts[1] not in ORDER:
-        pytest.skip("a module beside the layers")
-    layer = ORDER.index(path.parts[1])
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-        for name in names:
-            parts = name.split(".")
-            if parts[0] == "carrl" and len(parts) > 1 and parts[1] in ORDER:
-                assert ORDER.index(parts[1]) <= layer, f"{path} imports {name}"
