@@ -12,7 +12,7 @@ from tests.configs import compose
 pygame = pytest.importorskip("pygame", reason="the window needs pygame; pip install 'carrl[render]'")
 
 from carrl.cli import drive  # noqa: E402 (after the check for pygame)
-from carrl.env import rendering  # noqa: E402
+from carrl.render import raster as rendering  # noqa: E402
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from PIL import Image
-from tests.render.headless_viewer import headless_viewer
 
 from carrl.errors import CarrlError
 from carrl.export.rerun import open_recording, write_recording
 from carrl.log.trace import EpisodeTrace
 from carrl.render.viewer_palette import ACTIONS, CAR, GROUND, RAY, WALL
+from tests.export.headless_viewer import headless_viewer
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 

@@ -15,7 +15,7 @@ from carrl.errors import ConfigError
 
 pygame = pytest.importorskip("pygame", reason="drawing needs pygame; pip install 'carrl[render]'")
 
-from carrl.env import rendering  # noqa: E402 (needs pygame)
+from carrl.render import raster as rendering  # noqa: E402 (needs pygame)
 from carrl.render.raster import palette  # noqa: E402
 from carrl.render.raster.projection import Projection  # noqa: E402
 
