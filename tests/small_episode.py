@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from carrl.log.scene import Scene, TrackShape
+from carrl.log.scene import ObservationPart, Scene, TrackShape
 from carrl.log.trace import EpisodeTrace
 
 SQUARES = {
@@ -46,12 +46,13 @@ def scene(track_shape: TrackShape) -> Scene:
     """A car with 5 rays of 10 m; a turn changes the heading by 30 degrees, then the car moves 1.5 m."""
     return Scene(
         action_names=("forward", "left", "right"),
+        control_names=("steer",),
+        observation=(ObservationPart("rays", 5, 0.0, 1.0),),
         reward_terms=("collision", "proximity", "gate", "steering"),
         sensor_angles=np.linspace(-np.pi / 2, np.pi / 2, 5),
         sensor_range=10.0,
         time_step=0.1,
         body_radius=0.5,
-        manoeuvres=np.array([(DISTANCE, 0, 0), (DISTANCE, TURN, TURN), (DISTANCE, -TURN, -TURN)]),
         tracks=(track_shape,),
     )
 
@@ -60,7 +61,7 @@ def scene(track_shape: TrackShape) -> Scene:
 def trace(scene: Scene) -> EpisodeTrace:
     """Episode 7 of car 2: 14 steps, the 7th exploratory, gate 0 passed in the 8th, a collision in the last."""
     steps = len(ACTIONS)
-    poses = _drive(scene)
+    poses = _drive()
     readings = (_ranges(poses, scene) / scene.sensor_range).astype(np.float32)
     passed = (poses[:-1, 1] < 10) & (poses[1:, 1] >= 10)
     last = np.arange(steps) == steps - 1
@@ -77,8 +78,12 @@ def trace(scene: Scene) -> EpisodeTrace:
         "truncated": np.zeros((steps, 1), dtype=np.bool_),
         "episode": np.full(steps, 7),
         "step": np.arange(steps),
-        "env": np.full(steps, 2),
-        "pose": poses[:-1].astype(np.float32),
+        "car": np.full(steps, 2),
+        "state": poses[:-1].astype(np.float32),
+        "next_state": poses[1:].astype(np.float32),
+        "next_gate": passed.cumsum() - passed,
+        "gates_passed": passed.cumsum() - passed,
+        "next_gates_passed": passed.cumsum(),
         "action_value": values.astype(np.float32),
         "epsilon": np.linspace(0.2, 0.1, steps, dtype=np.float32),
         "exploratory": np.arange(steps) == 6,
@@ -88,13 +93,13 @@ def trace(scene: Scene) -> EpisodeTrace:
     return EpisodeTrace(scene, columns)
 
 
-def _drive(scene: Scene) -> np.ndarray:
+def _drive() -> np.ndarray:
     """Poses from the start line, [T + 1, 3], m, m, rad."""
     poses = [np.array([10.0, 3.0, 0.0])]
     for action in ACTIONS:
-        distance, bearing, yaw = scene.manoeuvres[action]
-        direction = poses[-1][2] + bearing
-        poses.append(poses[-1] + (distance * np.cos(direction), distance * np.sin(direction), yaw))
+        turn = (0, TURN, -TURN)[action]
+        direction = poses[-1][2] + turn
+        poses.append(poses[-1] + (DISTANCE * np.cos(direction), DISTANCE * np.sin(direction), turn))
     return np.array(poses)
 
 

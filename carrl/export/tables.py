@@ -13,20 +13,22 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.errors import CarrlError, DamagedLogError, LogError
+from carrl.errors import CarrlError, LogError
 from carrl.files import appearing_whole
-from carrl.log.codec import Columns
-from carrl.log.metadata import ATTACHMENT, CHECKSUM
+from carrl.log.codec import Columns, Selection
+from carrl.log.log_file import ATTACHMENT, CHECKSUM
 from carrl.log.reader import Log
-from carrl.log.schema import COLUMNS, Column
-from carrl.log.selection import Selection
-from carrl.log.trace import read_scene
+from carrl.log.schema import Column
 
 Writer: TypeAlias = Callable[[Path, Log, Selection], int]
 
 GROUP_ROWS = 2**17
 """The least number of rows in a group, the last one apart: large enough to be read fast, and held in memory at once."""
-_UNITS = {"pose_x": "m", "pose_y": "m", "pose_heading": "rad", "time_ns": "ns"}
+_UNITS = {
+    **{"state_x": "m", "state_y": "m", "state_heading": "rad"},
+    **{"next_state_x": "m", "next_state_y": "m", "next_state_heading": "rad"},
+    "time_ns": "ns",
+}
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class TableColumn:
     """One column of the table.
 
     Attributes:
-        name: its heading, such as `pose_x`.
+        name: its heading, such as `state_x`.
         source: the log's column that it is taken from.
         index: of the value within a transition's row of values; None if the log has one value for each transition.
     """
@@ -57,37 +59,22 @@ class TableColumn:
 def table_columns(log: Log) -> list[TableColumn]:
     """The columns of a log's table, in the order of the log's.
 
-    A column of one value keeps its name; one of several has its part's name after its own: `pose_x`,
-    `action_value_left`, `reward_gate`; or its part's number where parts have no names: `observation_0`.
+    A column of one value keeps its name; one of several has its entry's name after its own: `state_x`,
+    `action_value_left`, `reward_gate`; or its entry's number where entries have no names: `observation_0`.
     """
-    parts, shapes = _part_names(log), log.row_shapes
-    return [
-        table_column
-        for column in COLUMNS
-        for table_column in _columns_of(column, shapes[column.name], parts.get(column.name, ()))
-    ]
+    return [table_column for column in log.schema.columns for table_column in _columns_of(column)]
 
 
-def _columns_of(column: Column, shape: tuple[int, ...], names: Sequence[str]) -> list[TableColumn]:
-    if shape == ():
+def _columns_of(column: Column) -> list[TableColumn]:
+    if column.shape == ():
         return [TableColumn(column.name, column, None)]
-    if column.shape == (1,):
+    names: Sequence[str] = column.entries
+    if column.width == 1 and not names:
         return [TableColumn(column.name, column, 0)]
-    (width,) = shape
-    if len(names) != width or len(set(names)) != width:
-        names = [str(index) for index in range(width)]
+    if len(set(names)) != column.width:
+        names = [str(index) for index in range(column.width)]
     stem = "reward" if column.name == "reward_terms" else column.name
     return [TableColumn(f"{stem}_{name}", column, index) for index, name in enumerate(names)]
-
-
-def _part_names(log: Log) -> dict[str, Sequence[str]]:
-    """What the values of a row are called, by column, so far as the log says."""
-    names: dict[str, Sequence[str]] = {"pose": ("x", "y", "heading")}
-    try:
-        scene = read_scene(log)
-    except DamagedLogError:
-        return names
-    return names | {"action_value": scene.action_names, "reward_terms": scene.reward_terms}
 
 
 def write_csv(path: Path, log: Log, selection: Selection) -> int:

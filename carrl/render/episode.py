@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.log.scene import Floats, TrackShape
-from carrl.log.trace import EpisodeTrace
+from carrl.log.trace import POSE, EpisodeTrace
 from carrl.render.colours import BLUE, DARK, ERROR, GREEN, INFO, ORANGE, PURPLE, WARNING, blend
 
 Level = Literal["info", "warning", "error"]
 DRAWN = frozenset(
     {
-        *("action", "exploratory", "observation", "next_observation", "pose", "reward", "reward_terms"),
-        *("terminated", "truncated", "episode", "step", "env", "track", "time_ns"),
+        *("action", "exploratory", "observation", "next_observation", "next_state", "reward", "reward_terms"),
+        *("terminated", "truncated", "episode", "step", "car", "track", "time_ns"),
+        *("next_gate", "gates_passed", "next_gates_passed"),
     }
 )
 """Columns that viewers show otherwise than as series of their own, or not at all."""
@@ -162,6 +163,10 @@ class EpisodeScene:
                 continue
             values = np.asarray(column, dtype=np.float64).reshape(len(column), -1)
             entries = self._entries(name, values.shape[1])
+            if name == "state":  # the pose, which it begins with, is drawn
+                values, entries = values[:, len(POSE) :], entries[len(POSE) :]
+            if not entries:
+                continue
             colours = _colours(len(entries)) if entries != self.trace.scene.action_names else self.action_colours
             found.append(Series(name, name.replace("_", " "), entries, values, colours))
         return found
@@ -176,7 +181,7 @@ class EpisodeScene:
         """The episode as a whole."""
         return {
             "episode": self.trace.episode,
-            "car": self.trace.env,
+            "car": self.trace.car,
             "track": self.trace.track.name,
             "steps": len(self.trace),
             "episode_return": float(self.trace.rewards.sum()),
@@ -208,6 +213,9 @@ class EpisodeScene:
         actions = self.trace.scene.action_names
         if column == "action_value" and len(actions) == width:
             return actions
+        names = tuple(self.trace.entries.get(column, ()))
+        if len(names) == width:
+            return names
         return (column,) if width == 1 else tuple(f"{column} {index}" for index in range(width))
 
     def _reward(self) -> Series:
@@ -254,17 +262,19 @@ def episode_events(trace: EpisodeTrace) -> list[Event]:
 
 
 def _beginning(trace: EpisodeTrace) -> Event:
-    where = f"episode {trace.episode} of car {trace.env} on track {trace.track.name}"
+    where = f"episode {trace.episode} of car {trace.car} on track {trace.track.name}"
     late = f", recorded from step {trace.first_step}" if trace.first_step else ""
     return Event(0, "info", f"{where}{late}")
 
 
 def _gates(trace: EpisodeTrace) -> Iterator[Event]:
-    """A line for each gate; one that completes a lap says so, unless gates passed before the record are unknown."""
-    for count, row in enumerate(np.flatnonzero(np.diff(trace.gates_passed)), start=1):
-        laps, rest = divmod(count, len(trace.track.gates))
-        lap = f", lap {laps} complete" if not rest and not trace.first_step else ""
-        yield Event(int(row), "info", f"{count} gate{'s' * (count > 1)} passed{lap}")
+    """A line for each step that passed gates; one that completes a lap says so, unless earlier gates are unknown."""
+    gates, known = len(trace.track.gates), not trace.first_step or trace.columns["next_gate"][0] >= 0
+    before, after = trace.columns["gates_passed"], trace.columns["next_gates_passed"]
+    for row in np.flatnonzero(after > before).tolist():
+        count, laps = int(after[row]), int(after[row]) // gates
+        lap = f", lap {laps} complete" if known and laps > before[row] // gates else ""
+        yield Event(row, "info", f"{count} gate{'s' * (count > 1)} passed{lap}")
 
 
 def _near_walls(trace: EpisodeTrace) -> Iterator[Event]:

@@ -124,7 +124,7 @@ class WorldPicture:
     def draw(self, canvas: Canvas, step: int, share: float, pose: Floats, ranges: Floats) -> None:
         """Draws the step being made, of which a share is done, the car's pose [3] and what its rays read [R], m."""
         view = View(AREA, pose[:2], self._follow_scale) if self._follows else self._whole
-        lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
+        lit = [gate for passed, gate in self.trace.passings if gate >= 0 and passed < step <= passed + FLASH]
         draw_ground(canvas, view, self._ground, FILM, lit)
         _draw_direction(canvas, view.places(self._ground.gates[-1]))
         number_gates(canvas, view, self._ground.gates, 15, len(self._ground.gates), FAINT)
@@ -161,14 +161,6 @@ class WorldPicture:
     def _known(self) -> NDArray[np.bool_]:
         """Whether the log tells where each step led, [T]."""
         return np.diff(steps_of(self.trace)) == 1
-
-    @cached_property
-    def _passings(self) -> list[tuple[int, int]]:
-        """Step after which a gate had been passed, and the gate: the nearest one, as the log does not number them."""
-        steps = np.flatnonzero(np.diff(self.trace.gates_passed) > 0)
-        middles = self.trace.track.gates.mean(axis=1)
-        distances = np.linalg.norm(self.trace.poses[steps + 1, None, :2] - middles, axis=-1)
-        return list(zip(steps.tolist(), distances.argmin(axis=1).tolist(), strict=True))
 
     def _draw_trail(self, canvas: Canvas, view: View, step: int, pose: Floats) -> None:
         """The line to the car's pose, old parts of it in grey; where the log lacks a step there is none."""

@@ -36,6 +36,8 @@ def repeated(trace, times):
     """The steps of the trace again and again, numbered on."""
     columns = {name: np.concatenate([values] * times) for name, values in trace.columns.items()}
     columns["step"] = np.arange(len(columns["step"]))
+    passed = columns["next_gates_passed"] - columns["gates_passed"]
+    columns |= {"gates_passed": passed.cumsum() - passed, "next_gates_passed": passed.cumsum()}
     return EpisodeTrace(trace.scene, columns)
 
 

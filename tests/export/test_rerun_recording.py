@@ -108,10 +108,10 @@ def test_steps_and_times_count_from_the_beginning_of_the_episode(recording, trac
 def test_what_is_plotted_is_what_the_log_has(recording, trace):
     rewards = np.column_stack([trace.rewards.cumsum(), trace.rewards, trace.reward_terms])
     plotted = {
-        "/action_value": (trace.action_values, ["forward", "left", "right"]),
+        "/action_value": (trace.columns["action_value"], ["forward", "left", "right"]),
         "/reward": (rewards, ["return so far", "reward", "collision", "proximity", "gate", "steering"]),
         "/ranges": (trace.ranges, ["90° right", "45° right", "ahead", "45° left", "90° left"]),
-        "/epsilon": (trace.epsilon[:, None], ["epsilon"]),
+        "/epsilon": (trace.columns["epsilon"][:, None], ["epsilon"]),
     }
     for entity, (values, names) in plotted.items():
         np.testing.assert_allclose(recording.rows[entity]["Scalars:scalars"], values)

@@ -143,14 +143,14 @@ def test_the_car_is_drawn_once_and_goes_with_its_frame(log, trace):
 
 
 def test_what_is_plotted_has_a_field_for_each_name(log, trace):
-    np.testing.assert_allclose(log.column("/action_value", "forward", "left", "right"), trace.action_values)
+    np.testing.assert_allclose(log.column("/action_value", "forward", "left", "right"), trace.columns["action_value"])
     np.testing.assert_allclose(log.column("/reward", *trace.scene.reward_terms), trace.reward_terms)
     sums = np.column_stack([trace.rewards, trace.rewards.cumsum()])
     np.testing.assert_allclose(log.column("/reward", "reward", "return_so_far"), sums)
     np.testing.assert_allclose(
         log.column("/ranges", "right_90", "right_45", "ahead", "left_45", "left_90"), trace.ranges
     )
-    np.testing.assert_allclose(log.column("/epsilon", "epsilon")[:, 0], trace.epsilon)
+    np.testing.assert_allclose(log.column("/epsilon", "epsilon")[:, 0], trace.columns["epsilon"])
 
 
 def test_actions_are_plotted_by_name(log, trace):
@@ -191,7 +191,7 @@ def test_names_that_protobuf_does_not_allow_are_replaced_by_others(trace, tmp_pa
     named = dataclasses.replace(trace.scene, action_names=("straight on", "left-", "left+"))
     write_viewer_log(tmp_path / "named.mcap", EpisodeTrace(named, trace.columns), "an episode")
     found = ViewerLog(tmp_path / "named.mcap").column("/action_value", "straight_on", "left", "left_2")
-    np.testing.assert_allclose(found, trace.action_values)
+    np.testing.assert_allclose(found, trace.columns["action_value"])
 
 
 def test_without_foxglove_one_is_told_what_to_install(monkeypatch):

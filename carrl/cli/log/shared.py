@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import CarrlError, LogError
-from carrl.log.codec import Columns
+from carrl.log.codec import Columns, Selection
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.scene import Scene
-from carrl.log.schema import COLUMNS, Column
-from carrl.log.selection import Selection
+from carrl.log.schema import Column, Schema
 from carrl.log.trace import EpisodeTrace, read_trace
 from carrl.printable import printable
 
@@ -120,7 +119,8 @@ def printable_scene(scene: Scene) -> Scene:
 
 def printable_trace(trace: EpisodeTrace) -> EpisodeTrace:
     """The same episode in a world with printable names."""
-    return dataclasses.replace(trace, scene=printable_scene(trace.scene))
+    entries = {name: tuple(map(printable, entries)) for name, entries in trace.entries.items()}
+    return dataclasses.replace(trace, scene=printable_scene(trace.scene), entries=entries)
 
 
 def counted(count: int, noun: str) -> str:
@@ -224,10 +224,10 @@ def _absence(episode: int, ended: list[int]) -> str:
     return f"has no episode {episode}; those that ended are in {min(ended)}..{max(ended)}, see carrl log ls FILE"
 
 
-def transition_rows(columns: Columns) -> Iterator[dict[str, Any]]:
+def transition_rows(columns: Columns, schema: Schema) -> Iterator[dict[str, Any]]:
     """Yields a dictionary for each transition, with lists of numbers in it where a column has a width above 1."""
-    names = [column.name for column in COLUMNS]
-    values = [_listed(column, columns[column.name]) for column in COLUMNS]
+    names = [column.name for column in schema.columns]
+    values = [_listed(column, columns[column.name]) for column in schema.columns]
     for row in zip(*values, strict=True):
         yield dict(zip(names, row, strict=True))
 

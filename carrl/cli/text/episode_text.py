@@ -60,7 +60,7 @@ def _summary(trace: EpisodeTrace) -> Text:
     late = f", recorded from step {trace.first_step:,}" if trace.first_step else ""
     parts = [
         Text(f"episode {trace.episode:,}", "bold"),
-        Text(f"car {trace.env} on {trace.track.name}"),
+        Text(f"car {trace.car} on {trace.track.name}"),
         Text(f"{len(trace):,} steps in {seconds:,.1f} s{late}"),
         Text(f"return {trace.rewards.sum():,.4g}"),
         Text(_progress(trace)),

@@ -42,7 +42,9 @@ def print_log_stats(stats: LogStats, console: Console) -> None:
 
 
 def _headline(stats: LogStats) -> Text:
-    steps = f"{stats.action_counts.sum():,} transitions, {100 * stats.exploratory_share:.0f} % of them drawn at random"
+    steps = f"{stats.action_counts.sum():,} transitions"
+    if not np.isnan(stats.exploratory_share):
+        steps += f", {100 * stats.exploratory_share:.0f} % of them drawn at random"
     if not len(stats):
         return Text(f"{steps}\n{NO_EPISODE}")
     crashes, laps = int(stats.collided.sum()), int((stats.laps > 0).sum())

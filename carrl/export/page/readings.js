@@ -66,7 +66,7 @@ function showMoment(episode, step) {
   byId("read-action").replaceChildren(over ? element("span", "faint", episode.ended) : chosenAction(episode, step));
   byId("read-time").textContent = formatSeconds(episode.times[step]);
   byId("read-time").title = `${formatSeconds(episode.startTime + episode.times[step])} since the start of the run`;
-  byId("read-gates").textContent = formatNumber(gatesPassedAt(episode, step), 0);
+  byId("read-gates").textContent = formatNumber(episode.gatesBefore + gatesPassedAt(episode, step), 0);
   byId("read-return").textContent = formatReward(episode.returns[step]);
   showReward(byId("read-reward"), over ? null : episode.rewards[step]);
 }
