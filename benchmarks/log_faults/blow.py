@@ -85,7 +85,7 @@ class Watch:
                 os.fsync(file.fileno())
 
     def _rename(self, source: Any, target: Any) -> None:
-        from carrl.train.state_file import PREVIOUS, STATE
+        from carrl.train.checkpoint import PREVIOUS, STATE
 
         is_state = Path(target).name in (PREVIOUS.name, STATE.name) and Path(source).exists()
         blow = self._struck_here(RENAMING) if is_state else None

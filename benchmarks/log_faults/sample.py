@@ -16,7 +16,7 @@ from carrl.log.mcap_read import IndexedFile
 from carrl.log.reader import Log
 from carrl.log.schema import CHANNELS, TRANSITIONS, Schema
 
-_SMALL_CHUNKS = {"carrl.train.trainer.LOGGED_TOGETHER": 96, "carrl.log.writer.FLUSH_INTERVAL_S": 0.0}
+_SMALL_CHUNKS = {"carrl.train.callbacks.LOGGED_TOGETHER": 96, "carrl.log.writer.FLUSH_INTERVAL_S": 0.0}
 """Constants with which even a short run's log has many chunks."""
 _TOPICS = {number: topic for topic, number in CHANNELS.items()}
 

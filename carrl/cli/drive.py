@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from carrl.cli.parser import Parser
+from carrl.cli.parser import Parser, add_trust
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
 from carrl.train.build import build_world
@@ -172,13 +172,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--track", metavar="NAME|FILE", help="default: the run's, or without a run paper")
     parser.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
     parser.add_argument("--fps", type=float, metavar="F", help="time steps a second; default: real time")
+    add_trust(parser)
     return parser
 
 
 def _make_env(arguments: argparse.Namespace) -> GymTrackEnv:
     if arguments.run is None:
+        if arguments.trust:
+            raise ConfigError("--trust has no effect without --run; add that, or leave it out")
         return GymTrackEnv(arguments.track or "paper", render_mode="rgb_array")
-    world = build_world(load_config(Path(arguments.run)))
+    world = build_world(load_config(Path(arguments.run), arguments.trust))
     return GymTrackEnv(
         arguments.track or world.track,
         render_mode="rgb_array",

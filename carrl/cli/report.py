@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from carrl.cli.parser import Parser, named_folder
+from carrl.cli.parser import Parser, add_trust, named_folder
 from carrl.errors import ConfigError
 from carrl.render import picture_format
 from carrl.report.document import as_json, write_report
@@ -20,7 +20,7 @@ def main(argv: list[str]) -> int:
     _check(arguments)
     findings = find(arguments.directories, arguments.baseline)
     best_lap = (
-        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size)
+        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size, arguments.trust)
         if arguments.best_lap
         else None
     )
@@ -41,8 +41,9 @@ def _check(arguments: argparse.Namespace) -> None:
     """Raises ConfigError for a flag that cannot be done as asked, before runs are read."""
     if arguments.curves:
         picture_format(arguments.curves, "--curves")
-    if arguments.bin_size is not None and not arguments.best_lap:
-        raise ConfigError("--bin-size has no effect without --best-lap; add that, or leave it out")
+    for flag, value in (("--bin-size", arguments.bin_size is not None), ("--trust", arguments.trust)):
+        if value and not arguments.best_lap:
+            raise ConfigError(f"{flag} has no effect without --best-lap; add that, or leave it out")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -74,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="M",
         help=f"of the search, m (default: {BIN_SIZE}); half of it takes four times longer",
     )
+    add_trust(parser)
     return parser
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from carrl.errors import CarrlError
-from carrl.evaluation.rollout import Drive
+from carrl.evaluation.results import Drive
 from carrl.files import write_whole
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped
 from carrl.report.groups import Group

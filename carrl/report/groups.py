@@ -9,7 +9,7 @@ from typing import Any
 
 from carrl.errors import CarrlError
 from carrl.report.runs import RunResult, in_natural_order
-from carrl.train.files import load_config, read_yaml
+from carrl.train.files import read_config, read_yaml
 from carrl.train.plan import TrainingPlan
 
 OVERRIDES, HYDRA = Path(".hydra/overrides.yaml"), Path(".hydra/hydra.yaml")
@@ -154,7 +154,7 @@ def _planned_seeds(runs: Sequence[RunResult]) -> set[int]:
     configs = [run.config for run in runs]
     for folder in {run.folder.parent for run in runs if run.trained_with_others}:
         with suppress(CarrlError):
-            configs.append(load_config(folder))
+            configs.append(read_config(folder))
     seeds: set[int] = set()
     for config in configs:
         with suppress(CarrlError, TypeError, AttributeError):  # written by hand; the run itself would have been refused

@@ -13,7 +13,7 @@ from typing import Any
 
 from carrl.config import MOST
 from carrl.errors import CarrlError, CheckpointError, shown
-from carrl.train.files import CONFIG, METRICS, SUMMARY, load_config, read_text
+from carrl.train.files import CONFIG, METRICS, SUMMARY, read_config, read_text
 
 Wanted = Mapping[str, tuple[type, ...]]
 _COUNT, _NUMBER, _FLAG = (int,), (int, float), (bool,)
@@ -147,7 +147,7 @@ def read_run(folder: Path, label: str) -> RunResult:
     """A run as far as it can be read; what cannot be is its `reason`, no error."""
     config: dict[str, Any] = {}
     try:
-        config = load_config(folder)
+        config = read_config(folder)
     except CarrlError as error:
         reason = _without_folder(error, folder)
         state = DAMAGED if (folder / SUMMARY).exists() else UNFINISHED

@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from carrl.config import check_targets
 from carrl.errors import ConfigError
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.rollout import Drive
+from carrl.evaluation.results import Drive
 from carrl.printable import printable
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped, written_p
 from carrl.report.measures import MEASURES, Measure
@@ -74,8 +75,8 @@ def runs_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
     return markdown(header, table)
 
 
-def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
-    """The best possible lap in the world that the runs were trained in.
+def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = ()) -> Drive:
+    """The best possible lap in the world that the runs were trained in, which may have parts of the trusted modules.
 
     Raises:
         ConfigError: it is not one and the same, or no run has a configuration that can be read.
@@ -84,6 +85,8 @@ def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
     runs = [run for run in runs if run.config]
     if not runs:
         raise ConfigError("no run has a configuration that can be read; the best possible lap depends on it")
+    for run in runs:
+        check_targets(run.config, trust)
     worlds = [build_world(run.config) for run in runs]
     differing = next((run.label for run, world in zip(runs, worlds, strict=True) if not _alike(world, worlds[0])), None)
     if differing is not None:

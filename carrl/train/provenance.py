@@ -88,16 +88,6 @@ def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
     return Schema(task, tuple(algorithm))
 
 
-def dqn_columns(action_names: Sequence[str]) -> tuple[Column, ...]:
-    """What DQN has to say of a transition."""
-    names = tuple(action_names)
-    return (
-        Column("action_value", "action_value", "float32", (len(names),), "Q-values of the actions", names),
-        Column("epsilon", "epsilon", "float32", (), "probability with which an action was drawn at random"),
-        Column("exploratory", "exploratory", "bool", (), "the action was drawn at random"),
-    )
-
-
 def git_commit() -> str | None:
     """The commit of the checkout that this code runs from, with "-dirty" after it where files differ; None if none."""
     root = Path(carrl.__file__).resolve().parents[1]

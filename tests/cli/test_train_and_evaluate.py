@@ -94,7 +94,7 @@ def test_a_sweep_leaves_a_folder_for_each_run(tmp_path):
 
 
 def test_without_a_recorder_there_is_no_log(tmp_path):
-    assert main(["train", *TINY, "trainer.frames=16", "recorder=none", f"hydra.run.dir={tmp_path}"]) == 0
+    assert main(["train", *TINY, "trainer.frames=16", "recorder=null", f"hydra.run.dir={tmp_path}"]) == 0
     assert not (tmp_path / "train.mcap").exists()
     assert (tmp_path / "summary.json").exists()
 

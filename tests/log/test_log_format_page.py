@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import carrl
+from carrl.algorithms.dqn.dqn import dqn_columns
 from carrl.log import Episode, Metrics
 from carrl.log.schema import (
     CHANNELS,
@@ -16,7 +17,7 @@ from carrl.log.schema import (
     METRICS,
     small_message_class,
 )
-from carrl.train.provenance import dqn_columns, log_schema
+from carrl.train.provenance import log_schema
 
 PAGE = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text()
 SCHEMA = log_schema(carrl.TrackEnv(), dqn_columns(("forward", "left", "right")))

@@ -11,6 +11,7 @@ import torch
 
 import carrl
 from carrl.cli.main import main
+from carrl.data.episodes import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Column, Log, read_trace
 from carrl.log.messages import Episode
@@ -21,7 +22,6 @@ from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ContinuousActions
 from carrl.task.reward import Collision, Gate, Reward
 from carrl.task.start import Start
-from carrl.train.episodes import EpisodeTracker
 from carrl.train.provenance import describe_run, log_schema, scene_of
 from tests.logs import dqn_columns, make_schema
 

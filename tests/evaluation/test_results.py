@@ -1,0 +1,114 @@
+"""Results of a network on several circuits, figures of many drives, and intervals against numbers worked by hand."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from carrl.evaluation.results import Trial, mean_interval, rate_interval, share_interval, tally
+from carrl.evaluation.rollout import drive, rule_policy
+from tests.worlds import make_world
+
+Z = 1.959964
+
+
+@pytest.fixture(scope="module")
+def lap():
+    """A complete lap of the oval by the rule."""
+    world = make_world("oval")
+    (found,) = drive(world, world.simulator(world.track), rule_policy)
+    return found
+
+
+@pytest.fixture(scope="module")
+def crash(lap):
+    """A drive that ended at a wall after half as many steps."""
+    return replace(lap, lap_completed=False, collided=True, progress=0.5, lap_steps=lap.lap_steps // 2)
+
+
+def test_a_trial_on_one_track_has_its_drives_own_measures(lap):
+    assert Trial((lap,)).measures() == lap.measures()
+    assert Trial((lap,)).lap_completed
+
+
+def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
+    trial = Trial((lap, crash, lap))
+    assert not trial.lap_completed
+    measures = trial.measures()
+    assert (measures["circuits"], measures["laps_completed"]) == (3, 2)
+    assert (measures["lap_completed"], measures["collided"]) == (False, True)
+    assert measures["progress"] == pytest.approx(2.5 / 3)
+    assert trial.shown == 1
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_only_the_trajectory_of_the_drive_to_look_at_is_kept(kept, lap, crash):
+    trial = Trial((lap, crash, lap)).with_trajectory(kept)
+    assert trial.measures() == Trial((lap, crash, lap)).measures()
+    steps = [len(drive.actions) for drive in trial.drives]
+    assert steps == [0, len(crash.actions) if kept else 0, 0]
+    assert [len(drive.poses) for drive in trial.drives] == [0, steps[1] + 1 if kept else 0, 0]
+    assert all(array.base is None for drive in trial.drives for array in (drive.poses, drive.ranges, drive.actions))
+    loaded = Trial.from_state_dict(trial.state_dict())
+    assert loaded.measures() == trial.measures()
+    assert (loaded.drives[1].ranges == trial.drives[1].ranges).all()
+
+
+def test_more_laps_are_better_than_more_progress(lap, crash):
+    hopeless = replace(crash, progress=0.0)
+    one_lap, none = Trial((lap, hopeless)), Trial((replace(crash, progress=0.9),) * 2)
+    assert one_lap.quality > none.quality
+    assert Trial((lap, crash)).quality > one_lap.quality
+    assert Trial((lap,)).quality > Trial((replace(lap, lap_reward=lap.lap_reward - 20),)).quality
+
+
+def test_figures_of_drives_are_counts_rates_and_means(lap, crash):
+    figures = tally([[lap, crash]], step_length=1.0)
+    km = (lap.lap_steps + crash.lap_steps) / 1000
+    assert (figures["starts"], figures["laps_completed"], figures["collisions"]) == (2, 1, 1)
+    assert figures["collisions_per_km"] == pytest.approx(1 / km)
+    assert figures["progress"] == 0.75
+    low, high = figures["intervals"]["progress"]
+    assert (low + high) / 2 == pytest.approx(0.75)
+    # Two values that are 0.5 apart: the variance is 0.125, Student's quantile 12.706.
+    assert high - low == pytest.approx(2 * 12.7062 * (0.125 / 2) ** 0.5, rel=1e-4)
+
+
+def test_the_interval_of_several_runs_is_that_of_their_means(lap, crash):
+    figures = tally([[lap, crash], [lap, crash]], step_length=1.0)
+    assert figures["intervals"]["progress"] == (0.75, 0.75)
+    assert figures["starts"] == 4
+
+
+def test_eight_laps_of_eight_say_that_at_least_two_thirds_are_completed():
+    assert share_interval(8, 8) == pytest.approx((8 / (8 + Z**2), 1.0))
+
+
+def test_half_of_ten_is_wilsons_textbook_interval():
+    assert share_interval(5, 10) == pytest.approx((0.2366, 0.7634), abs=1e-4)
+
+
+def test_no_success_mirrors_no_failure():
+    low, high = share_interval(3, 12)
+    assert share_interval(9, 12) == pytest.approx((1 - high, 1 - low))
+    assert share_interval(0, 0) == (0.0, 1.0)
+
+
+def test_no_collision_in_10_km_leaves_room_for_a_third_of_one_per_km():
+    assert rate_interval(0, 10.0) == pytest.approx((0.0, -math.log(0.025) / 10))
+
+
+def test_one_collision_has_the_exact_poisson_interval():
+    low, high = rate_interval(1, 2.0)
+    assert low == pytest.approx(-math.log(0.975) / 2)
+    # The probability of at most one event at the upper end is 2.5 %.
+    assert math.exp(-2 * high) * (1 + 2 * high) == pytest.approx(0.025)
+
+
+def test_the_mean_of_three_values_has_students_interval():
+    reach = 4.302653 * math.sqrt(1 / 3)  # Student's quantile with 2 degrees of freedom; the variance is 1
+    assert mean_interval([1.0, 2.0, 3.0]) == pytest.approx((2 - reach, 2 + reach))
+
+
+def test_one_value_has_no_interval():
+    assert mean_interval([1.0]) is None
