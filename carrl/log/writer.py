@@ -189,19 +189,6 @@ class LogWriter:
             self._write_held()
         self._flushed_at = time.monotonic()
 
-    def put_back(self) -> None:
-        """Closes the log and writes it anew at its place, which was deleted or moved; nothing else is changed.
-
-        Raises:
-            LogError: the disk fails.
-        """
-        self._check_open()
-        with self._closing_on_failure():
-            self._write_held()
-            self._file.finish()
-            self._file.copy_to(self.path)
-            self._file.close()
-
     def close(self) -> None:
         """Completes the file with its index and closes it; a second call does nothing.
 
