@@ -46,7 +46,7 @@ def drive(path, env, schema, rounds, choose, first=0):
             batch["exploratory"] = torch.arange(len(batch)) == 0
             batch["log_prob"] = torch.full((len(batch),), -1.5, dtype=torch.float64)
             if number >= first:
-                writer.write(batch.select(*writer.keys))
+                writer.write(batch.select(*schema.keys))
             for episode in episodes:
                 writer.write_episode(episode)
             steps.append(batch)
