@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 
 from carrl.data.replay_buffer import KEYS
 from carrl.data.source import Round
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import Drive, Trial
 from carrl.evaluation.rollout import rollout
 from carrl.log.messages import Metrics
 from carrl.sim.simulator import Simulator
@@ -167,5 +167,12 @@ class Evaluator(Callback):
         if self._simulator is None:
             self._simulator = world.simulator(world.circuits.validation, trainer.algorithm.collect_policy.device)
         track = torch.arange(circuits).repeat(replicates)
-        drives = rollout(world, self._simulator, trainer.algorithm.greedy_policy, torch.zeros(len(track)), track)
-        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+
+        def of_replicates(drives: Sequence[Drive]) -> list[Trial]:
+            return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+
+        def shown(drives: Sequence[Drive]) -> list[int]:
+            return [number * circuits + trial.shown for number, trial in enumerate(of_replicates(drives))]
+
+        policy, stations = trainer.algorithm.greedy_policy, torch.zeros(len(track))
+        return of_replicates(rollout(world, self._simulator, policy, stations, track, shown))

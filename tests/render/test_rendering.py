@@ -14,6 +14,7 @@ from carrl.errors import ConfigError
 from carrl.render.canvas import Area, View
 from carrl.render.colours import DARK, SKY, VERMILLION, YELLOW, nearness_colour, rgb
 from carrl.render.live import FLEET
+from tests.operations import count_calls
 
 
 @pytest.fixture
@@ -151,6 +152,15 @@ def test_the_upper_road_of_a_bridge_hides_the_walls_below(real_circuits):
             column, row = view.places(pose_at(env, station)[:2]).round().astype(int)
             assert (shown[row, column] >= rgb(DARK.road)).all()  # or a gate, or the edge of one
             assert (shown[row, column] <= rgb(DARK.gate)).all()
+
+
+@pytest.mark.parametrize("track", ["paper", "Spa.csv"])
+def test_a_picture_is_as_little_work_on_tracks_of_any_length(track, request):
+    if track.endswith(".csv"):
+        track = request.getfixturevalue("real_circuits") / track
+    env = make(track=str(track))
+    env.render()
+    assert count_calls(env.render) < 1000
 
 
 def test_a_noisy_sensor_with_the_last_action_and_a_slow_car_is_drawn_too():
