@@ -146,7 +146,7 @@ class FollowPicture:
         """The next gate's number beside it, and what became of the car above it."""
         ends = view.places(ground.gates[car.next_gate])
         outwards = (ends[0] - ends[1]) / max(1e-9, float(np.linalg.norm(ends[0] - ends[1])))
-        for place in (ends[0] + 26 * outwards, ends[1] - 26 * outwards):
+        for place in (ends[0] + 30 * outwards, ends[1] - 30 * outwards):
             self._write_about(place, f"gate {car.next_gate + 1}", DARK.next_gate)
         if car.collided:
             self._write_about(np.array(view.area.middle) - (0, 26), "hit a wall", DARK.ink)

@@ -66,7 +66,8 @@ class Style:
         line: width of the line driven.
         outline: width of a car's outline.
         least_radius: of a car, units; where it would be smaller it is drawn larger.
-        wheels: whether a car has a hull and wheels within its disc, or is the disc with a stroke to its nose.
+        detailed: whether a car has a hull and wheels within its disc, or is the disc with a stroke to its nose; and
+            whether a ray that meets no wall ends in a ring.
     """
 
     theme: Theme
@@ -78,7 +79,7 @@ class Style:
     line: Pen
     outline: Pen
     least_radius: float
-    wheels: bool = False
+    detailed: bool = False
 
 
 SCREEN = Style(
@@ -91,7 +92,7 @@ SCREEN = Style(
     line=Pen(0, 2, 2),
     outline=Pen(0, 1, 1),
     least_radius=6.0,
-    wheels=True,
+    detailed=True,
 )
 FILM = Style(
     LIGHT,
@@ -229,8 +230,8 @@ def draw_rays(
     begin, radius = view.places(origin), style.ray_end.width(view)
     for end, colour, hit in zip(view.places(ends), colours, np.asarray(hits).tolist(), strict=True):
         canvas.line([begin, end], style.ray.stroke(colour, view))
-        if hit:
-            canvas.disc(end, radius, colour)
+        if hit or style.detailed:
+            canvas.disc(end, radius, colour if hit else None, style.ray.stroke(colour, view))
 
 
 def draw_car(
@@ -249,7 +250,7 @@ def draw_car(
         style.theme.crash if collided else style.theme.car,
         Stroke(style.theme.tyre, style.outline.width(view)),
     )
-    if not style.wheels:
+    if not style.detailed:
         canvas.disc(middle, radius, colour, edge)
         canvas.line([middle, middle + radius * np.array([np.cos(pose[2]), -np.sin(pose[2])])], edge)
         return
