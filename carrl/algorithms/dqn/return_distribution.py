@@ -51,6 +51,16 @@ def make_distributional_network(
 ) -> QNetwork:
     """A network of `ReturnDistribution`; beside the values it reads and writes what `make_q_network` does.
 
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        atoms: returns whose probabilities are predicted, evenly spaced.
+        least_return: the least of them; discounted returns below count as this one.
+        greatest_return: the greatest of them.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
+
     Raises:
         ConfigError: as `make_q_network`, and for fewer than 2 atoms, or returns in no range.
     """
