@@ -91,6 +91,13 @@ def make_q_network(
 
     Source: He et al. 2015, "Delving Deep into Rectifiers", eq. 10; layer sizes from the paper's Table I.
 
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
+
     Raises:
         ConfigError: a hidden layer without units, too many layers or weights, or an exponent that is not positive.
     """
@@ -119,6 +126,13 @@ def make_dueling_network(
     and writes, and how it is initialised, is as in `make_q_network`.
 
     Source: Wang et al. 2016, "Dueling Network Architectures for Deep Reinforcement Learning", eq. 9.
+
+    Args:
+        hidden_sizes: ReLU units of each hidden layer; the last one is there twice, once for each of the two streams.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
 
     Raises:
         ConfigError: as `make_q_network`, and for fewer than two hidden layers.
@@ -161,6 +175,14 @@ def make_noisy_network(
 
     Source: Fortunato et al. 2018, "Noisy Networks for Exploration", section 3.2 with factorised noise.
 
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        initial_noise: standard deviation of the noise at first, times 1 / sqrt(inputs of the layer).
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
+
     Raises:
         ConfigError: as `make_q_network`, and for noise of a strength that is none.
     """
@@ -197,6 +219,16 @@ def make_distributional_network(
     generator: torch.Generator,
 ) -> QNetwork:
     """A network of `ReturnDistribution`; beside the values it reads and writes what `make_q_network` does.
+
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        atoms: returns whose probabilities are predicted, evenly spaced.
+        least_return: the least of them; discounted returns below count as this one.
+        greatest_return: the greatest of them.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
 
     Raises:
         ConfigError: as `make_q_network`, and for fewer than 2 atoms, or returns in no range.

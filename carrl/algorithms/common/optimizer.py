@@ -88,7 +88,12 @@ class LearningRateDecay:
 
 @dataclass(frozen=True)
 class LinearDecay(LearningRateDecay):
-    """Falls by the same amount with each update."""
+    """Falls by the same amount with each update.
+
+    Attributes:
+        final_share: of optimizer.lr that is left at the end.
+        updates: after which the end is reached; by default there is one for each env step.
+    """
 
     def _left(self, elapsed: float) -> float:
         return 1 - elapsed
@@ -99,6 +104,10 @@ class CosineDecay(LearningRateDecay):
     """Falls along half a wave: slowly, quickly, slowly.
 
     Source: Loshchilov and Hutter 2017, "SGDR: Stochastic Gradient Descent with Warm Restarts", eq. 5, without restarts.
+
+    Attributes:
+        final_share: of optimizer.lr that is left at the end.
+        updates: after which the end is reached; by default there is one for each env step.
     """
 
     def _left(self, elapsed: float) -> float:
