@@ -13,10 +13,10 @@ from carrl.cli.evaluation_table import print_evaluation
 from carrl.cli.parser import Parser
 from carrl.cli.road_warning import warn_of_roads
 from carrl.errors import ConfigError
-from carrl.evaluation.results import Drive, tally
-from carrl.evaluation.rollout import Policy, Survey, random_policy, rule_policy, rule_world
+from carrl.evaluation.results import Rollout, aggregate
+from carrl.evaluation.rollout import Policy, TrackEvaluator, random_policy, rule_policy, rule_world
 from carrl.printable import printable
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Folder, load_folder
 from carrl.tracks.track import Track
 from carrl.train.build import build_world
@@ -24,7 +24,7 @@ from carrl.train.files import load_config, seed_folders
 from carrl.train.folder import load_greedy_policy
 from carrl.train.plan import checked_seed
 
-Laps = list[list[Drive]]
+Laps = list[list[Rollout]]
 """The drives of each track."""
 
 
@@ -42,13 +42,13 @@ def main(argv: list[str]) -> int:
     tracks, refused = _load_tracks(arguments.track)
     tracks = tracks or list(world.circuits.validation)
     warn_of_roads(tracks, world)
-    survey = Survey(world, tracks, arguments.starts)
+    evaluator = TrackEvaluator(world, tracks, arguments.starts)
     policies = [
         _make_policy(arguments.policy, run, arguments.checkpoint or "best", config, world)
         for run, config in zip(runs, configs, strict=True)
     ]
-    laps = [survey.drive(policy, rule_world(world) if policy is rule_policy else world) for policy in policies]
-    rule = survey.drive(rule_policy, rule_world(world)) if arguments.policy != "rule" else None
+    laps = [evaluator.evaluate(policy, rule_world(world) if policy is rule_policy else world) for policy in policies]
+    rule = evaluator.evaluate(rule_policy, rule_world(world)) if arguments.policy != "rule" else None
     document = {
         "run": arguments.run,
         "policy": arguments.policy,
@@ -112,17 +112,17 @@ def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_
     """The figures of each track and of all, each with those of the rule."""
 
     def beside(laps: Laps | None) -> dict[str, Any]:
-        return {} if laps is None else {"rule": tally([[each for own in laps for each in own]], step_length)}
+        return {} if laps is None else {"rule": aggregate([[each for own in laps for each in own]], step_length)}
 
     of_tracks = [
         {
             "track": track.name,
             "length_m": track.length,
-            **tally([laps[index] for laps in runs], step_length),
+            **aggregate([laps[index] for laps in runs], step_length),
             "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
             **beside(rule and [rule[index]]),
         }
         for index, track in enumerate(tracks)
     ]
     everything = [[each for own in laps for each in own] for laps in runs]
-    return {"tracks": of_tracks, "all": {**tally(everything, step_length), **beside(rule)}}
+    return {"tracks": of_tracks, "all": {**aggregate(everything, step_length), **beside(rule)}}

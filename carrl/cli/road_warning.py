@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from carrl.printable import printable
 from carrl.sim.drivability import Car, unsuitable
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
 

@@ -17,7 +17,7 @@ from carrl.cli.text.console import Display, OfflineDisplay, Silence, TrainingDis
 from carrl.config import build_node, is_whole_number
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.train.agent_run import AgentRun
 from carrl.train.build import Learning, Pipeline, build_offline_pipeline, build_pipeline, learns_from_logs
 from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
@@ -255,7 +255,7 @@ def _draw_lap(world: World, run: AgentRun) -> None:
     from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:
-        best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]
+        best, track = run.best.rollouts[run.best.shown], world.circuits.validation[run.best.shown]
         draw_lap(
             run.folder.path / LAP,
             track,

@@ -3,7 +3,7 @@
 Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -11,14 +11,13 @@ from torch import Tensor
 from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import ActionMap, steer3
 from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS
-from carrl.task.task import Task
-from carrl.task.world import World
+from carrl.task.task import Task, World
 from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
@@ -63,7 +62,7 @@ def random_policy(seed: int, action: ActionMap) -> Policy:
     return act
 
 
-def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -> list[Drive]:
+def rollout_laps(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -> list[Rollout]:
     """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
 
     The places are spread evenly along the track, from the start line on.
@@ -78,8 +77,8 @@ def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -
     return rollout(world, simulator, policy, torch.cat(stations), track)
 
 
-class Survey:
-    """Laps of several tracks with the car, sensors and reward of a world.
+class TrackEvaluator:
+    """Drives policies on several tracks with the car and sensors of a world, some tracks at a time.
 
     Args:
         world: that says how a car drives; its own tracks do not matter.
@@ -93,19 +92,17 @@ class Survey:
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
 
-    def drive(self, policy: Policy, world: World | None = None) -> list[list[Drive]]:
-        """The drives of each track; a policy that sees something else needs a world of its own, with the same car.
+    def evaluate(self, policy: Policy, world: World | None = None) -> list[list[Rollout]]:
+        """The rollouts on each track; a policy that sees something else needs a world of its own, with the same car.
 
         Raises:
             ConfigError: fewer than one start place.
         """
-        return list(self._drives(policy, world or self._world))
-
-    def _drives(self, policy: Policy, world: World) -> Iterator[list[Drive]]:
+        found: list[list[Rollout]] = []
         for simulator in self._simulators:
-            drives = drive(world, simulator, policy, self._starts)
-            for begin in range(0, len(drives), self._starts):
-                yield drives[begin : begin + self._starts]
+            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts)
+            found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
+        return found
 
 
 @dataclass(frozen=True)
@@ -121,7 +118,7 @@ class _Moment(Rows):
 
 def rollout(
     world: World, simulator: Simulator, policy: Policy, stations: Tensor, track: Tensor | None = None
-) -> list[Drive]:
+) -> list[Rollout]:
     """Drives one lap from each of these places.
 
     Args:
@@ -180,7 +177,7 @@ def _check_limits(limits: Tensor, simulator: Simulator) -> None:
         )
 
 
-def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> list[Drive]:
+def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator, reward = task.simulator, task.reward
     ended = course.collided | simulator.has_lapped(course.cars)
@@ -195,7 +192,7 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
         driven = steer[1 : steps + 1, car]
         switched = driven[1:] != driven[:-1]
         drives.append(
-            Drive(
+            Rollout(
                 start=stations[car].item(),
                 lap_completed=lapped[car],
                 collided=bool(course.collided[steps, car]),

@@ -5,7 +5,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.report.comparison import SIGNIFICANCE, Comparison
 from carrl.report.findings import Findings, GroupFigure, lapped
 from carrl.report.groups import Group
@@ -17,7 +17,7 @@ from carrl.report.tables import comma_separated
 RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")
 
 
-def as_json(findings: Findings, best_lap: Drive | None = None) -> str:
+def as_json(findings: Findings, best_lap: Rollout | None = None) -> str:
     """The report as one JSON document; a figure that does not exist is null."""
     document = {
         "problems": [problem.as_dict() for problem in findings.problems],

@@ -4,11 +4,11 @@ import math
 
 from carrl.errors import ConfigError
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.report.reading import RunResult
 from carrl.report.summary_file import missing_lap
 from carrl.report.tables import markdown
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.train.build import build_world
 
 HEADER = (
@@ -28,7 +28,7 @@ BEST_LAP_HEADER = ("forward / best", "switches / best")
 """What is added where the best possible lap is known: a run's figures as shares of its."""
 
 
-def runs_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
+def runs_table(runs: list[RunResult], best_lap: Rollout | None = None) -> str:
     """The runs as a table in Markdown, with their distance from the best possible lap if that is given."""
     header, table = [*HEADER], [_row(run) for run in runs]
     if best_lap is not None:
@@ -37,7 +37,7 @@ def runs_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
     return markdown(header, table)
 
 
-def best_lap_of(runs: list[RunResult], bin_size: float) -> Drive:
+def best_lap_of(runs: list[RunResult], bin_size: float) -> Rollout:
     """The best possible lap in the world that the runs were trained in.
 
     Raises:
@@ -89,7 +89,7 @@ def _row(run: RunResult) -> list[str]:
     ]
 
 
-def _beside(run: RunResult, best_lap: Drive) -> list[str]:
+def _beside(run: RunResult, best_lap: Rollout) -> list[str]:
     """The run's figures under `BEST_LAP_HEADER`."""
     own = (run.summary or {}).get("evaluation")
     if own is None:

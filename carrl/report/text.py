@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.printable import printable
 from carrl.report.comparison import SIGNIFICANCE, Comparison, written_p
 from carrl.report.findings import Findings, GroupFigure, lapped
@@ -42,7 +42,7 @@ class Picture:
     caption: str
 
 
-def report_text(findings: Findings, best_lap: Drive | None = None, pictures: Sequence[Picture] = ()) -> str:
+def report_text(findings: Findings, best_lap: Rollout | None = None, pictures: Sequence[Picture] = ()) -> str:
     """The report: problems and significant differences first, then groups, pictures, comparisons and runs.
 
     Args:
@@ -62,7 +62,7 @@ def report_text(findings: Findings, best_lap: Drive | None = None, pictures: Seq
     return "\n\n".join(parts)
 
 
-def best_lap_sentence(best_lap: Drive) -> str:
+def best_lap_sentence(best_lap: Rollout) -> str:
     """The best possible lap in words."""
     return (
         f"The best possible lap: {best_lap.lap_steps} steps, forward {best_lap.forward_share:.1%}, "

@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult
 from carrl.log.messages import Episode
 from carrl.train.folder import RunFolder
 from carrl.train.learner import Agent
@@ -46,8 +46,8 @@ class AgentRun:
         self.laps = 0
         self.first_lap: FirstLap | None = None
         self._unconfirmed_lap: FirstLap | None = None
-        self.best: Trial | None = None
-        self.last: Trial | None = None
+        self.best: EvaluationResult | None = None
+        self.last: EvaluationResult | None = None
         self._checkpoints: dict[str, dict[str, Any]] = {}
 
     def state_dict(self) -> dict[str, Any]:
@@ -74,7 +74,7 @@ class AgentRun:
             for name in ("first_lap", "unconfirmed_lap")
         )
         self.best, self.last = (
-            Trial.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
+            EvaluationResult.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
         )
         self._checkpoints = dict(state["checkpoints"])
         self.write_checkpoints()
@@ -103,7 +103,7 @@ class AgentRun:
             self.laps += episode.laps
             self.folder.add_episode(episode, self.recent_return, moment)
 
-    def add_evaluation(self, attempt: Trial, moment: Moment) -> None:
+    def add_evaluation(self, attempt: EvaluationResult, moment: Moment) -> None:
         """Notes a trial without exploration, and keeps the network that drove it and the best one so far."""
         self.moment = moment
         self.last = attempt
@@ -115,7 +115,7 @@ class AgentRun:
             self.best = attempt
             self.keep_network("best", moment)
 
-    def _seek_first_lap(self, attempt: Trial, moment: Moment) -> None:
+    def _seek_first_lap(self, attempt: EvaluationResult, moment: Moment) -> None:
         """Confirms the lap of the evaluation before this one, or forgets it and takes note of this one's."""
         if not attempt.lap_completed:
             self._unconfirmed_lap = None

@@ -24,7 +24,7 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError, shown
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 from carrl.train.combinations import check_offline, check_priorities

@@ -11,12 +11,12 @@ from tensordict import TensorDictBase
 
 from carrl.algorithms.common.policy import GreedyPolicy
 from carrl.errors import CheckpointError
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult
 from carrl.evaluation.rollout import Policy
 from carrl.files import remove_left_overs
 from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.train.build import build_network
 from carrl.train.checkpoint import load_checkpoint, save_checkpoint
 from carrl.train.divergence import REPORT as DIVERGENCE
@@ -153,7 +153,7 @@ class RunFolder:
         figures = {"return": episode.episode_return, "mean_return_20": recent_return}
         self._add_scalars("episode", episode.frame, figures | {"length": episode.length, "gates": episode.gates})
 
-    def add_evaluation(self, attempt: Trial, frames: int, episodes: int) -> None:
+    def add_evaluation(self, attempt: EvaluationResult, frames: int, episodes: int) -> None:
         """Adds a row to `evaluations.csv`."""
         self._evaluations.append({"frames": frames, "episodes": episodes, **attempt.measures()})
         self._add_scalars("evaluation", frames, attempt.measures())

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 from typing import Any
 
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult
 from carrl.train.agent_run import AgentRun
 from carrl.train.training import Training
 
@@ -46,7 +46,7 @@ def summarise(run: AgentRun, trainer: Training, **context: Any) -> dict[str, Any
     }
 
 
-def _figures(attempt: Trial | None) -> dict[str, Any] | None:
+def _figures(attempt: EvaluationResult | None) -> dict[str, Any] | None:
     if attempt is None:
         return None
     measures = attempt.measures()

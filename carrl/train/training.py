@@ -8,7 +8,7 @@ import torch
 
 import carrl
 from carrl.errors import CarrlError, CheckpointError
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult
 from carrl.evaluation.rollout import rollout
 from carrl.sim.simulator import Simulator
 from carrl.train.agent_run import AgentRun
@@ -153,10 +153,10 @@ class Training:
             run.folder.write_divergence(report)
             raise CarrlError(sentence(report))
 
-    def _drive(self, simulator: Simulator) -> list[Trial]:
+    def _drive(self, simulator: Simulator) -> list[EvaluationResult]:
         """A greedy lap of every validation circuit from its start line with every agent's network, side by side."""
         circuits = len(self._learning.world.circuits.validation)
         track = torch.arange(circuits).repeat(len(self.runs))
         policy = self._learning.policy.actions
         drives = rollout(self._learning.world, simulator, policy, torch.zeros(len(track)), track)
-        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+        return [EvaluationResult(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from carrl.errors import CarrlError
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.files import write_whole
 from carrl.report.document import as_json, groups_csv, runs_csv
 from carrl.report.figures.improvement import draw_improvement
@@ -26,7 +26,7 @@ SMOOTHNESS = Picture(
 )
 
 
-def write_report(folder: Path, findings: Findings, best_lap: Drive | None = None) -> None:
+def write_report(folder: Path, findings: Findings, best_lap: Rollout | None = None) -> None:
     """Writes the report into a folder, which is made if need be.
 
     Raises:
