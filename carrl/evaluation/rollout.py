@@ -3,7 +3,7 @@
 Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,14 +12,13 @@ from torch import Tensor
 from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import ActionMap, steer3
 from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS
-from carrl.task.task import Task
-from carrl.task.world import World
+from carrl.task.task import Task, World
 from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
@@ -66,13 +65,13 @@ def random_policy(seed: int, action: ActionMap) -> Policy:
     return act
 
 
-def drive(
+def rollout_laps(
     world: World,
     simulator: Simulator,
     policy: Policy,
     starts: int = 1,
-    kept: Callable[[Sequence[Drive]], Sequence[int]] | None = None,
-) -> list[Drive]:
+    kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
+) -> list[Rollout]:
     """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
 
     The places are spread evenly along the track, from the start line on; `kept` is as in `rollout`.
@@ -87,8 +86,8 @@ def drive(
     return rollout(world, simulator, policy, torch.cat(stations), track, kept)
 
 
-class Survey:
-    """Laps of several tracks with the car, sensors and reward of a world.
+class TrackEvaluator:
+    """Drives policies on several tracks with the car and sensors of a world, some tracks at a time.
 
     Args:
         world: that says how a car drives; its own tracks do not matter.
@@ -102,19 +101,17 @@ class Survey:
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
 
-    def drive(self, policy: Policy, world: World | None = None) -> list[list[Drive]]:
-        """The drives of each track; a policy that sees something else needs a world of its own, with the same car.
+    def evaluate(self, policy: Policy, world: World | None = None) -> list[list[Rollout]]:
+        """The rollouts on each track; a policy that sees something else needs a world of its own, with the same car.
 
         Raises:
             ConfigError: fewer than one start place.
         """
-        return list(self._drives(policy, world or self._world))
-
-    def _drives(self, policy: Policy, world: World) -> Iterator[list[Drive]]:
+        found: list[list[Rollout]] = []
         for simulator in self._simulators:
-            drives = drive(world, simulator, policy, self._starts, kept=lambda _: ())
-            for begin in range(0, len(drives), self._starts):
-                yield drives[begin : begin + self._starts]
+            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, kept=lambda _: ())
+            found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
+        return found
 
 
 @dataclass(frozen=True)
@@ -134,8 +131,8 @@ def rollout(
     policy: Policy,
     stations: Tensor,
     track: Tensor | None = None,
-    kept: Callable[[Sequence[Drive]], Sequence[int]] | None = None,
-) -> list[Drive]:
+    kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
+) -> list[Rollout]:
     """Drives one lap from each of these places.
 
     Args:
@@ -201,8 +198,8 @@ def _sum_up(
     limits: Tensor,
     task: Task,
     stations: Tensor,
-    kept: Callable[[Sequence[Drive]], Sequence[int]] | None,
-) -> list[Drive]:
+    kept: Callable[[Sequence[Rollout]], Sequence[int]] | None,
+) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator, reward = task.simulator, task.reward
     ended = course.collided | simulator.has_lapped(course.cars)
@@ -216,7 +213,7 @@ def _sum_up(
         driven = steer[1 : steps + 1, car]
         switched = driven[1:] != driven[:-1]
         drives.append(
-            Drive(
+            Rollout(
                 start=stations[car].item(),
                 lap_completed=lapped[car],
                 collided=bool(course.collided[steps, car]),
@@ -238,7 +235,7 @@ def _sum_up(
     return drives
 
 
-def _with_trajectory(driven: Drive, course: _Moment, simulator: Simulator) -> Drive:
+def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> Rollout:
     """A drive with what a picture of it shows: of its own course [T + 1], which may go on after it."""
     cars = course.cars[: driven.lap_steps + 1]
     return replace(

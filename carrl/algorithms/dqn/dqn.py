@@ -27,7 +27,7 @@ from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.generators import part_generator
 from carrl.log.schema import Column
-from carrl.task.world import World
+from carrl.task.task import World
 
 MOST_MEASURED = 256
 """Of more transitions than these an even sample is measured, so that it takes little time."""
