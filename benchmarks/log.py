@@ -74,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
         print(table(SHARE_HEADER, share_rows()))
         return 0
     tell(f"driving {arguments.transitions:,} transitions")
-    transitions, episodes = drive(int(arguments.transitions))
+    transitions, episodes = rollout_laps(int(arguments.transitions))
     with tempfile.TemporaryDirectory() as folder:
         rows, same = measure(Path(folder), transitions, episodes)
     print(table(HEADER, [_row(row) for row in rows]))
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     return int(not same)
 
 
-def drive(count: int) -> tuple[TensorDict, list[Episode]]:
+def rollout_laps(count: int) -> tuple[TensorDict, list[Episode]]:
     """So many transitions of cars that the rule drives, with the values of an untrained network, and their episodes."""
     env = TrackEnv("paper", num_envs=CARS, seed=0, start=Start(anywhere=True))
     generator = torch.Generator().manual_seed(0)

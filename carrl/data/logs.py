@@ -19,7 +19,7 @@ from carrl.errors import LogError
 from carrl.log import Log, fill
 from carrl.sim.sensor import Sensor
 from carrl.task.action import ActionMap
-from carrl.task.world import World
+from carrl.task.task import World
 
 Numbers = NDArray[np.float64]
 

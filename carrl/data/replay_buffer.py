@@ -35,6 +35,12 @@ def make_replay_buffer(
 
     An item is one transition of each agent, a TensorDict of batch size [A]; a sample is [batch_size, A].
 
+    Args:
+        capacity: transitions kept of each replicate.
+        batch_size: transitions in an update.
+        device: where transitions are kept.
+        generators: one for each replicate, for sampling.
+
     Raises:
         ConfigError: the batch is empty or larger than the memory, or the memory is too large.
     """
@@ -52,6 +58,14 @@ def make_prioritized_replay_buffer(
     generators: Sequence[torch.Generator],
 ) -> TensorDictReplayBuffer:
     """The buffer of `make_replay_buffer`, but transitions that surprised the network are sampled more often.
+
+    Args:
+        capacity: transitions kept of each replicate.
+        batch_size: transitions in an update.
+        alpha: a transition's share of the samples is |TD error|^alpha, 0 to 1; 0 for all alike.
+        beta: how far weights in the loss make up for that, 0 to 1; 1 for in full.
+        device: where transitions are kept.
+        generators: one for each replicate, for sampling.
 
     Raises:
         ConfigError: the batch is empty or larger than the memory, or alpha or beta lies outside 0..1.

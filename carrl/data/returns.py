@@ -27,7 +27,7 @@ class NStepReturns:
     Source: Sutton and Barto 2018, "Reinforcement Learning: An Introduction", eq. 7.1.
 
     Args:
-        steps: n.
+        steps: n, of each car, whose rewards are summed before the network's value counts; 1 in the paper.
         gamma: the loss's discount.
 
     Raises:

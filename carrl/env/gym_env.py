@@ -16,7 +16,7 @@ from carrl.env.gym_actions import action_space, one_action
 from carrl.errors import ConfigError
 from carrl.sim.vehicle import Vehicle
 from carrl.task.checks import seed_number
-from carrl.task.task import UNLIMITED, Begun, Task, Tracks, make_task
+from carrl.task.task import UNLIMITED, EpisodeStart, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task.action)
         self._start = self.task.start() if self.task.starts_alike else None
-        self._now: Begun | None = None
+        self._now: EpisodeStart | None = None
         self._return, self._collided = 0.0, False
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_STEPS)
         self._picture: FollowPicture | None = None
@@ -121,7 +121,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         if self._collided:
             raise gymnasium.error.ResetNeeded("the car has hit a wall, which ended its episode; reset it")
         after = self.task.step(before.state, one_action(action, self.task.action))
-        self._now = now = Begun(after.state, after.observation)
+        self._now = now = EpisodeStart(after.state, after.observation)
         terms = after.reward_terms
         info = self._info(now, terms.tolist()[0])
         reward, collided = float(terms.sum().item()), bool(after.terminated.item())
@@ -177,7 +177,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             self._window.close()
         self._window = None
 
-    def _readings(self, now: Begun) -> np.ndarray:
+    def _readings(self, now: EpisodeStart) -> np.ndarray:
         """What the rays read, [R], in 0..1; the true distances where the driver is not told them."""
         begin = 0
         for part in self.task.observation_parts:
@@ -192,7 +192,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             return self.task.action.names[int(action)]
         return " ".join(f"{value:+.2f}" for value in action[0].tolist())
 
-    def _info(self, now: Begun, terms: list[float]) -> dict[str, Any]:
+    def _info(self, now: EpisodeStart, terms: list[float]) -> dict[str, Any]:
         cars = now.state.cars
         place = {
             "pose": cars.pose.numpy()[0].copy(),

@@ -3,8 +3,8 @@
 They compute what `carrl.sim.geometry` and `carrl.sim.simulator` state in torch; tests compare the two. All is float64
 and rounded to float32 once. How a car moves is the vehicle model's own, `carrl.sim.vehicle`.
 
-Shapes: `B` cars, `R` rays, `S` entries of a vehicle's state, `C` controls; the others are those of `carrl.sim.terrain`.
-Lengths are in metres, angles in radians counter-clockwise from +x.
+Shapes: `B` cars, `R` rays, `S` entries of a vehicle's state, `C` controls; the others are those of
+`carrl.sim.collision_geometry`. Lengths are in metres, angles in radians counter-clockwise from +x.
 """
 
 import math
@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.sim.collision_geometry import CollisionGeometry
 from carrl.sim.machine_code import compiled, inlined
-from carrl.sim.terrain import Terrain
 from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
 
 # Written out, since Numba's cache sees only changes to this file.
@@ -27,7 +27,7 @@ _LANES = 8
 class World(NamedTuple):
     """What stays the same from step to step; the arrays are C-contiguous.
 
-    The first nine are those of `Terrain`.
+    The first nine are those of `CollisionGeometry`.
 
     Attributes:
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
@@ -42,7 +42,7 @@ class World(NamedTuple):
     walls: np.ndarray
     gates: np.ndarray
     first_gate: np.ndarray
-    level_of_gate: np.ndarray
+    deck_of_gate: np.ndarray
     corners: np.ndarray
     shapes: np.ndarray
     list_of_cell: np.ndarray
@@ -61,7 +61,7 @@ class Kernels:
     """The compiled step and sense with the constants of one simulator: tensors in, tensors out, on the CPU.
 
     Args:
-        terrain: walls and gates.
+        geometry: walls and gates.
         ray_angles: counter-clockwise from the heading, [R], rad.
         max_range: of the rays, m.
         vehicle: the car.
@@ -69,12 +69,12 @@ class Kernels:
     """
 
     def __init__(
-        self, terrain: Terrain, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
+        self, geometry: CollisionGeometry, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
     ) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
         radius, half_length, half_width = _measures_of(vehicle.body)
         self._world = World(
-            **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in terrain._asdict().items()},
+            **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in geometry._asdict().items()},
             fan=_fan(ray_angles),
             rays=len(ray_angles),
             max_range=float(max_range),
@@ -145,7 +145,7 @@ def _sense(world: World, state: np.ndarray, next_gate: np.ndarray, track: np.nda
     for car in range(cars):
         _check_place(world, track[car], next_gate[car])
         x, y, heading = np.float64(state[car, 0]), np.float64(state[car, 1]), np.float64(state[car, 2])
-        begin, _, end = _walls_near(world, x, y, _level(world, track[car], next_gate[car]))
+        begin, _, end = _walls_near(world, x, y, _deck(world, track[car], next_gate[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
     return ranges
 
@@ -173,8 +173,8 @@ def _follow(
         begin_x, begin_y = np.float64(before[car, 0]), np.float64(before[car, 1])
         x, y, heading = np.float64(after[car, 0]), np.float64(after[car, 1]), np.float64(after[car, 2])
         path_x, path_y = x - begin_x, y - begin_y
-        level = _level(world, track[car], next_gate[car])
-        begin, touching, end = _walls_near(world, x, y, level)
+        deck = _deck(world, track[car], next_gate[car])
+        begin, touching, end = _walls_near(world, x, y, deck)
         # What is no number fails every comparison: such a car would drive on for ever.
         if not math.isfinite(x + y):
             hit = True
@@ -187,8 +187,8 @@ def _follow(
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
         collided[car], passed[car], following[car] = hit, crossed, (next_gate[car] + crossed) % len(gates)
         since_start[car] = gates_passed[car] + crossed
-        if _level(world, track[car], following[car]) != level:
-            begin, _, end = _walls_near(world, x, y, _level(world, track[car], following[car]))
+        if _deck(world, track[car], following[car]) != deck:
+            begin, _, end = _walls_near(world, x, y, _deck(world, track[car], following[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
     return following, since_start, ranges, collided, passed
 
@@ -203,20 +203,20 @@ def _check_place(world: World, track: int, next_gate: int) -> None:
 
 
 @inlined
-def _level(world: World, track: int, next_gate: int) -> int:
-    """The level that a car is on."""
-    return world.level_of_gate[world.first_gate[track] + next_gate]
+def _deck(world: World, track: int, next_gate: int) -> int:
+    """The deck that a car is on."""
+    return world.deck_of_gate[world.first_gate[track] + next_gate]
 
 
 @inlined
-def _walls_near(world: World, x: float, y: float, level: int) -> tuple[int, int, int]:
+def _walls_near(world: World, x: float, y: float, deck: int) -> tuple[int, int, int]:
     """Where in `entries` the walls near a point begin, where those within touch end, and where all end."""
     corners, shapes = world.corners, world.shapes
-    size = corners[level, 2]
-    column, row = math.floor((x - corners[level, 0]) / size), math.floor((y - corners[level, 1]) / size)
+    size = corners[deck, 2]
+    column, row = math.floor((x - corners[deck, 0]) / size), math.floor((y - corners[deck, 1]) / size)
     number = 0
-    if 0 <= column < shapes[level, 0] and 0 <= row < shapes[level, 1]:
-        number = world.list_of_cell[shapes[level, 2] + row * shapes[level, 0] + column]
+    if 0 <= column < shapes[deck, 0] and 0 <= row < shapes[deck, 1]:
+        number = world.list_of_cell[shapes[deck, 2] + row * shapes[deck, 0] + column]
     return world.lists[number, 0], world.lists[number, 1], world.lists[number, 2]
 
 

@@ -31,7 +31,7 @@ class EpisodeState(Rows):
 
 
 @dataclass(frozen=True)
-class Moment:
+class ObservationContext:
     """What an observation is made of.
 
     Attributes:

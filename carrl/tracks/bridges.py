@@ -52,7 +52,7 @@ def on_stretch(stations: np.ndarray, stretch: Stretch, length: float) -> np.ndar
     return np.asarray((stations - begin) % length <= end - begin)
 
 
-def on_two_levels(bridges: Sequence[Bridge], length: float, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def on_two_decks(bridges: Sequence[Bridge], length: float, one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Whether of each pair of stations [K], m, one lies over and the other under the same bridge, [K]."""
     apart = np.zeros(len(one), dtype=bool)
     for bridge in bridges:

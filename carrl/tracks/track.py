@@ -236,7 +236,7 @@ class Track:
         """Poses on the centreline, in the driving direction: stations [B], m, to [B, 3], float32, m, m, rad."""
         return self._route.poses(self._only(stations), stations)
 
-    def room_at(self, stations: Tensor) -> Tensor:
+    def clearance_at(self, stations: Tensor) -> Tensor:
         """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
         return self._route.clearance(self._only(stations), stations)
 

@@ -20,7 +20,7 @@ from carrl.errors import CheckpointError, ConfigError, shown
 from carrl.generators import part_generator, part_seed
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 from carrl.train.checkpoint import load_checkpoint

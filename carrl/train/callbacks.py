@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 
 from carrl.data.replay_buffer import KEYS
 from carrl.data.source import Round
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult, Rollout
 from carrl.evaluation.rollout import rollout
 from carrl.log.messages import Metrics
 from carrl.sim.simulator import Simulator
@@ -160,12 +160,21 @@ class Evaluator(Callback):
         for index, run in trainer.active.items():
             run.add_evaluation(evaluations[index], trainer.status(run.status.loss))
 
-    def drive(self, trainer: "Trainer") -> list[Trial]:
+    def drive(self, trainer: "Trainer") -> list[EvaluationResult]:
         """The evaluation of every replicate's network, all driven side by side."""
         world, replicates = trainer.pipeline.world, len(trainer.runs)
         circuits = len(world.circuits.validation)
         if self._simulator is None:
             self._simulator = world.simulator(world.circuits.validation, trainer.algorithm.collect_policy.device)
         track = torch.arange(circuits).repeat(replicates)
-        drives = rollout(world, self._simulator, trainer.algorithm.greedy_policy, torch.zeros(len(track)), track)
-        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+
+        def of_replicates(drives: Sequence[Rollout]) -> list[EvaluationResult]:
+            return [
+                EvaluationResult(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)
+            ]
+
+        def shown(drives: Sequence[Rollout]) -> list[int]:
+            return [number * circuits + result.shown for number, result in enumerate(of_replicates(drives))]
+
+        policy, stations = trainer.algorithm.greedy_policy, torch.zeros(len(track))
+        return of_replicates(rollout(world, self._simulator, policy, stations, track, shown))

@@ -15,7 +15,7 @@ from carrl.config import build_node, foreign_targets, is_whole_number, module_of
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
 from carrl.train.build import Pipeline, build_pipeline, logs_of
@@ -305,7 +305,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
     from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:
-        best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]
+        best, track = run.best.rollouts[run.best.shown], world.circuits.validation[run.best.shown]
         draw_lap(
             run.folder.path / LAP,
             track,

@@ -18,10 +18,10 @@ import yaml
 from torch import Tensor
 
 from carrl.errors import CarrlError, CheckpointError, ConfigError
-from carrl.evaluation.results import Drive, tally
-from carrl.evaluation.rollout import Policy, Survey, random_policy, rule_policy, rule_world
+from carrl.evaluation.results import Rollout, aggregate
+from carrl.evaluation.rollout import Policy, TrackEvaluator, random_policy, rule_policy, rule_world
 from carrl.log.reader import Log
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Folder, load_folder
 from carrl.tracks.track import Track
 from carrl.train.build import build_world, load_greedy_policy
@@ -36,7 +36,7 @@ from carrl.train.trainer import Trainer
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
 PolicyName = Literal["greedy", "rule", "random"]
-Laps = list[list[Drive]]
+Laps = list[list[Rollout]]
 """The drives of each track."""
 
 
@@ -139,10 +139,12 @@ class Run:
         circuits = loaded or list(self.world.circuits.validation)
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
-        survey = Survey(self.world, circuits, starts)
+        evaluator = TrackEvaluator(self.world, circuits, starts)
         policies = [self._policy_of(folder, config, policy, checkpoint) for folder, config in chosen]
-        laps = [survey.drive(each, rule_world(self.world) if each is rule_policy else self.world) for each in policies]
-        rule = survey.drive(rule_policy, rule_world(self.world)) if policy != "rule" else None
+        laps = [
+            evaluator.evaluate(each, rule_world(self.world) if each is rule_policy else self.world) for each in policies
+        ]
+        rule = evaluator.evaluate(rule_policy, rule_world(self.world)) if policy != "rule" else None
         step_length = self.world.vehicle.step_length
         document: dict[str, Any] = {
             "run": str(self.folder),
@@ -202,20 +204,20 @@ def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_
     """The figures of each track and of all, each with those of the rule."""
 
     def beside(laps: Laps | None) -> dict[str, Any]:
-        return {} if laps is None else {"rule": tally([[each for own in laps for each in own]], step_length)}
+        return {} if laps is None else {"rule": aggregate([[each for own in laps for each in own]], step_length)}
 
     of_tracks = [
         {
             "track": track.name,
             "length_m": track.length,
-            **tally([laps[index] for laps in runs], step_length),
+            **aggregate([laps[index] for laps in runs], step_length),
             "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
             **beside(rule and [rule[index]]),
         }
         for index, track in enumerate(tracks)
     ]
     everything = [[each for own in laps for each in own] for laps in runs]
-    return {"tracks": of_tracks, "all": {**tally(everything, step_length), **beside(rule)}}
+    return {"tracks": of_tracks, "all": {**aggregate(everything, step_length), **beside(rule)}}
 
 
 def _read_summary(folder: Path) -> Summary:

@@ -223,10 +223,10 @@ def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploratio
     assert names == ["random-1000", "random-1001", "random-1002"]
     assert [track.name for track in pipeline.world.circuits.validation] == ["random-1003", "random-1004"]
     (run,) = trainer.runs
-    assert len(run.best.drives) == 2
+    assert len(run.best.rollouts) == 2
     rows = read_rows(tmp_path / "evaluations.csv")
     assert [row["circuits"] for row in rows] == ["2", "2"]
-    assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.drives) / 2)
+    assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.rollouts) / 2)
 
 
 def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):

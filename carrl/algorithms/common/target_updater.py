@@ -80,6 +80,11 @@ TargetUpdater = PeriodicHardUpdate | SoftTargetUpdate
 def make_hard_update(period: int, *, loss: DQNLoss) -> PeriodicHardUpdate:
     """A hard update of the loss's target network every `period` env steps.
 
+    Args:
+        period: env steps between two copies (Table I, C); learning from logs, where there are none, each update counts
+            as one.
+        loss: whose target network follows.
+
     Raises:
         ConfigError: the period is less than 1.
     """
@@ -90,6 +95,10 @@ def make_hard_update(period: int, *, loss: DQNLoss) -> PeriodicHardUpdate:
 
 def make_soft_update(tau: float, *, loss: DQNLoss) -> SoftTargetUpdate:
     """A soft update of the loss's target network after every update: target += tau * (network - target).
+
+    Args:
+        tau: share of the way that the target network moves, at most 0.5; it is about 1 / tau updates behind.
+        loss: whose target network follows.
 
     Raises:
         ConfigError: tau is no share of at most a half.

@@ -8,14 +8,19 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.objectives import DQNLoss
 
-from carrl.algorithms.common.network import QNetwork
+from carrl.algorithms.common.network import QNetwork, predicts_distribution
 from carrl.algorithms.dqn.loss import set_discount
-from carrl.algorithms.dqn.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
 
 
 def make_distributional_loss(gamma: float, double_dqn: bool, *, network: QNetwork) -> "DistributionalLoss":
     """The cross entropy between the predicted returns and those that a target network expects after the transition.
+
+    Args:
+        gamma: discount factor.
+        double_dqn: whether the trained network picks the next action; else the target network does, as in the first
+            C51.
+        network: that is trained.
 
     Raises:
         ConfigError: gamma lies outside 0..1, or the network predicts no distribution.

@@ -16,10 +16,8 @@ from torchrl.data import Categorical
 from torchrl.objectives import DQNLoss
 
 from carrl.algorithms.algorithm import Algorithm, Figures, FunctionalUpdate, Policy, Tree, UpdateResult
-from carrl.algorithms.common.compiled_update import Adam
-from carrl.algorithms.common.gradient_clipping import GradientClipping
-from carrl.algorithms.common.learning_rate import LearningRateDecay
 from carrl.algorithms.common.network import QNetwork
+from carrl.algorithms.common.optimizer import Adam, GradientClipping, LearningRateDecay
 from carrl.algorithms.common.target_updater import SoftTargetUpdate, TargetUpdater
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.exploration import EpsilonGreedy
@@ -29,7 +27,7 @@ from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.generators import part_generator
 from carrl.log.schema import Column
-from carrl.task.world import World
+from carrl.task.task import World
 
 MOST_MEASURED = 256
 """Of more transitions than these an even sample is measured, so that it takes little time."""

@@ -10,8 +10,7 @@ from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
 from torchrl.objectives import DQNLoss
 
-from carrl.algorithms.common.network import QNetwork, is_dueling
-from carrl.algorithms.dqn.return_distribution import predicts_distribution
+from carrl.algorithms.common.network import QNetwork, is_dueling, predicts_distribution
 from carrl.errors import ConfigError
 
 _Loss = TypeVar("_Loss", bound=DQNLoss)
@@ -32,6 +31,13 @@ def make_dqn_loss(
     Source: Mnih et al. 2015, "Human-level control through deep reinforcement learning"; van Hasselt et al. 2016,
     "Deep Reinforcement Learning with Double Q-learning".
 
+    Args:
+        gamma: discount factor.
+        loss_function: `l2`, the mean squared error, or `smooth_l1`, Huber's, which grows linearly where the TD error
+            exceeds 1.
+        double_dqn: whether the trained network picks the next action and the target network values it.
+        network: that is trained.
+
     Raises:
         ConfigError: gamma lies outside 0..1, or the network predicts a distribution.
     """
@@ -46,6 +52,13 @@ def make_dueling_loss(
     network: QNetwork,
 ) -> DQNLoss:
     """The loss of `make_dqn_loss` for a dueling network, and for no other.
+
+    Args:
+        gamma: discount factor.
+        loss_function: `l2`, the mean squared error, or `smooth_l1`, Huber's, which grows linearly where the TD error
+            exceeds 1.
+        double_dqn: whether the trained network picks the next action and the target network values it.
+        network: that is trained.
 
     Raises:
         ConfigError: gamma lies outside 0..1, or the network is another one.
@@ -67,6 +80,14 @@ def make_cql_loss(
 
     Source: Kumar et al. 2020, "Conservative Q-Learning for Offline Reinforcement Learning", eq. 4, whose TD error is
     halved, so that the paper's alpha is half of this one.
+
+    Args:
+        gamma: discount factor.
+        loss_function: `l2`, the mean squared error, or `smooth_l1`, Huber's, which grows linearly where the TD error
+            exceeds 1.
+        double_dqn: whether the trained network picks the next action and the target network values it.
+        alpha: weight of the conservative term beside the squared TD error; 0 for plain (Double) DQN.
+        network: that is trained.
 
     Raises:
         ConfigError: gamma lies outside 0..1, alpha is negative, or the network predicts a distribution.
@@ -120,6 +141,14 @@ def make_advantage_learning_loss(
 
     Source: Baird 1999, "Reinforcement Learning Through Gradient Descent"; Bellemare et al. 2016, "Increasing the Action
     Gap: New Operators for Reinforcement Learning", the advantage learning operator.
+
+    Args:
+        gamma: discount factor.
+        loss_function: `l2`, the mean squared error, or `smooth_l1`, Huber's, which grows linearly where the TD error
+            exceeds 1.
+        double_dqn: whether the trained network picks the next action and the target network values it.
+        alpha: share of its gap to the best action that an action's reward falls by; 0 for plain (Double) DQN.
+        network: that is trained.
 
     Raises:
         ConfigError: gamma lies outside 0..1, alpha is not at least 0 and less than 1, or the network predicts a

@@ -169,11 +169,11 @@ def _laps_so_far(trainer: Trainer) -> str:
     """How many agents lapped the track twice running, or on how many of several circuits their best networks did."""
     runs = trainer.runs
     trials = [run.best for run in runs if run.best is not None]
-    if not trials or len(trials[0].drives) == 1:
+    if not trials or len(trials[0].rollouts) == 1:
         return f"first lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
     laps = [trial.laps_completed for trial in trials]
     each = f"{min(laps)}" if min(laps) == max(laps) else f"{min(laps)} to {max(laps)}"
-    return f"lapped {each} of {len(trials[0].drives)}"
+    return f"lapped {each} of {len(trials[0].rollouts)}"
 
 
 def _place(folder: Path) -> str:
