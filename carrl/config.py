@@ -33,7 +33,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.common.network.make_q_network",
         "carrl.algorithms.common.network.make_dueling_network",
         "carrl.algorithms.common.network.make_noisy_network",
-        "carrl.algorithms.dqn.return_distribution.make_distributional_network",
+        "carrl.algorithms.common.network.make_distributional_network",
     ),
     "exploration": (
         "carrl.algorithms.dqn.exploration.ExponentialEpsilonGreedy",
@@ -48,10 +48,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.dqn.distributional_loss.make_distributional_loss",
     ),
     "returns": ("carrl.data.returns.NStepReturns",),
-    "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.make_gradient_clipping",),
+    "gradient_clipping": ("carrl.algorithms.common.optimizer.make_gradient_clipping",),
     "learning_rate": (
-        "carrl.algorithms.common.learning_rate.LinearDecay",
-        "carrl.algorithms.common.learning_rate.CosineDecay",
+        "carrl.algorithms.common.optimizer.LinearDecay",
+        "carrl.algorithms.common.optimizer.CosineDecay",
     ),
     "target_updater": (
         "carrl.algorithms.common.target_updater.make_hard_update",

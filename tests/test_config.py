@@ -1,8 +1,5 @@
 """Every YAML file is a working choice, explained key by key."""
 
-import ast
-from pathlib import Path
-
 import pytest
 
 from carrl.config import build_node, config_dir
@@ -95,27 +92,3 @@ def test_a_wrong_value_is_one_clear_sentence(values, message):
 
 def test_whole_numbers_may_stand_for_floats():
     assert build_node("sensor", {"_target_": "carrl.sim.sensor.Sensor", "max_range": 5}).max_range == 5
-
-
-ROOT_MODULES = ["errors", "printable", "generators", "rows", "files", "plain_yaml", "config"]
-PACKAGES = ["tracks", "sim", "task", "log", "render", "env", "algorithms", "data"]
-PACKAGES += ["evaluation", "train", "report", "export", "cli"]
-ORDER = [*ROOT_MODULES, *PACKAGES]
-FRONT_DOORS = ["__init__", "registration", "sb3"]
-"""Modules that import what they offer from all packages, when it is asked for; no package imports them."""
-
-
-@pytest.mark.parametrize("path", sorted(Path("carrl").rglob("*.py")), ids=str)
-def test_imports_follow_the_flow_of_data(path):
-    own = path.parts[1].removesuffix(".py")
-    layer = len(ORDER) if own in FRONT_DOORS else ORDER.index(own)
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and node.module == "carrl":
-            names = [f"carrl.{alias.name}" for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module]
-        for name in names:
-            package, _, inner = name.partition(".")
-            if package == "carrl" and inner and own not in FRONT_DOORS:  # `import carrl` alone brings its version
-                assert ORDER.index(inner.partition(".")[0]) <= layer, f"{path} imports {name}"

@@ -19,7 +19,7 @@ CALLS = {
     "carrl.config.inspect.os.system": {"command": "touch {marker}"},
     "carrl.train.files.write_text": {"path": "{marker}", "text": ""},
     "carrl.files.write_whole": {"path": "{marker}", "content": ""},
-    "carrl.log.mcap_file.McapFile": {"path": "{marker}"},
+    "carrl.log.mcap_write.McapFile": {"path": "{marker}"},
     "carrl.log.writer.LogWriter": {"path": "{marker}", "attachments": {}, "metadata": {}},
     "carrl.cli.main.main": {"argv": ["track", "random", "--out", "{marker}.csv"]},
     "torch.save": {"obj": 1, "f": "{marker}"},

@@ -182,7 +182,7 @@ class _Watch:
     def patches(self) -> Iterator[Any]:
         """What to put in the place of CarRL's functions: notes, then the functions themselves."""
         from carrl.data.episodes import EpisodeTracker
-        from carrl.log import mcap_file
+        from carrl.log import mcap_write
         from carrl.log.writer import LogWriter
 
         for owner, name, look in (
@@ -190,7 +190,7 @@ class _Watch:
             (LogWriter, "write_episode", self._see_episode),
             (LogWriter, "write_metrics", self._see_metrics),
             (LogWriter, "close", self._see_closing),
-            (mcap_file, "_write_at", self._see_write),
+            (mcap_write, "_write_at", self._see_write),
         ):
             yield patch.object(owner, name, _preceded(look, getattr(owner, name)))
 

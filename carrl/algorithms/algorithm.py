@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
+from carrl.log.schema import Column
 from carrl.task.world import World
 
 Tree = Mapping[Any, Any]
@@ -82,14 +83,14 @@ class Algorithm(ABC):
         networks: the replicates' acting networks, which checkpoints keep.
         collect_policy: drives the cars of all replicates.
         greedy_policy: does so without exploration.
-        log_columns: keys of what `collect_policy` adds to a transition in the log.
+        log_columns: what `collect_policy` adds to a transition in the log.
     """
 
     seeds: Sequence[int]
     networks: Sequence[nn.Module]
     collect_policy: CollectPolicy
     greedy_policy: Policy
-    log_columns: tuple[str, ...] = ()
+    log_columns: Sequence[Column] = ()
 
     def check_memory(self, weighted: bool) -> None:  # noqa: B027 (most have nothing against it)
         """Raises ConfigError if the weights of a replay memory that has such would not do what they are for."""

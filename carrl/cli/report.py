@@ -5,11 +5,10 @@ from pathlib import Path
 
 from carrl.cli.parser import Parser, add_trust, named_folder
 from carrl.errors import ConfigError
-from carrl.render.picture_file import picture_format
-from carrl.report.document import as_json
+from carrl.render import picture_format
+from carrl.report.document import as_json, write_report
 from carrl.report.findings import Findings, find
-from carrl.report.runs_table import best_lap_of
-from carrl.report.text import report_text
+from carrl.report.text import best_lap_of, report_text
 
 BIN_SIZE = 0.25
 """Of the search for the best possible lap, m."""
@@ -28,8 +27,6 @@ def main(argv: list[str]) -> int:
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:
-        from carrl.report.figures.folder import write_report  # brings Matplotlib, which text alone does not need
-
         write_report(arguments.out, findings, best_lap)
     if arguments.json:
         print(as_json(findings, best_lap))
@@ -83,11 +80,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _draw_curves(path: Path, findings: Findings) -> None:
-    from carrl.render.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
+    from carrl.render.curves import RunCurve, draw_learning_curves  # brings Matplotlib
 
     first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]
     curves = {
-        run.label: RunCurve(run.episode_returns, lap["episode"] if lap else None)
+        run.label: RunCurve(run.ends.returns, lap["episode"] if lap else None)
         for run, lap in zip(findings.runs, first_laps, strict=True)
     }
     draw_learning_curves(path, curves)

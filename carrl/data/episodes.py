@@ -67,7 +67,7 @@ class EpisodeTracker:
         return round(self.frames // self._cars * self._time_step * 1e9)
 
     def follow(self, batch: TensorDictBase) -> list[list[Episode]]:
-        """Adds `episode`, `env` and `time_ns` to a batch [B, T] and returns each agent's episodes that ended in it.
+        """Adds `episode`, `car` and `time_ns` to a batch [B, T] and returns each agent's episodes that ended in it.
 
         A car whose first transition is a first step, although its episode had others, has begun a new one.
         """
@@ -87,7 +87,7 @@ class EpisodeTracker:
                 last = {key: values[car, step] for key, values in after.items()}
                 ended[car // self._cars].append(self._end(car, last, tuple(poses[car, step].tolist())))
         batch["episode"] = torch.from_numpy(numbers)
-        batch["env"] = torch.from_numpy(self._env)[:, None].expand(cars, steps)
+        batch["car"] = torch.from_numpy(self._env)[:, None].expand(cars, steps)
         batch["time_ns"] = torch.from_numpy(times).expand(cars, steps)
         return ended
 

@@ -20,7 +20,8 @@ from carrl.task.task import UNLIMITED, Begun, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.raster import CarLook, FollowPicture, Scene, Window
+    from carrl.render.live import CarLook, CarSnapshot, FollowPicture
+    from carrl.render.window import Window
 
 OPTIONS = tuple(
     name
@@ -131,20 +132,20 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
                 self.render()
         return now.observation.numpy()[0].copy(), reward, collided, False, info
 
-    def scene(self) -> "Scene":
-        """What a picture of this moment shows; its trail is empty unless there is a render mode."""
-        from carrl.render.raster import Scene
+    def snapshot(self) -> "CarSnapshot":
+        """What a picture of now shows; its trail is empty unless there is a render mode."""
+        from carrl.render.live import CarSnapshot
 
         if self._now is None:
             raise gymnasium.error.ResetNeeded("call reset before the first picture")
         state, cars = self._now.state, self._now.state.cars
-        return Scene(
+        return CarSnapshot(
             pose=cars.pose.double().numpy()[0],
-            readings=self._readings(),
+            readings=self._readings(self._now),
             next_gate=int(cars.next_gate),
             gates_passed=int(cars.gates_passed),
             step=int(state.step),
-            steer=self._steer(state.last_action),
+            steer=float(self.task.steer(state.last_action)),
             action=self._action_name(state.last_action),
             episode_return=self._return,
             collided=self._collided,
@@ -156,17 +157,17 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         """A picture of this moment as the render mode wants it.
 
         Raises:
-            ConfigError: there is no render mode, no display for a window, or no pygame.
+            ConfigError: there is no render mode, or for a window no display or no pygame.
         """
         if self.render_mode is None:
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         self._picture = self._picture or make_follow_picture(self.task)
-        from carrl.render.raster import Window, pixels
-
-        picture = self._picture.draw(self.scene())
+        picture = self._picture.draw(self.snapshot())
         if self.render_mode == "rgb_array":
-            return pixels(picture)
-        self._window = self._window or Window(picture.get_size(), "CarRL")
+            return picture
+        from carrl.render.window import Window
+
+        self._window = self._window or Window(self._picture.size, "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
         return None
 
@@ -176,21 +177,15 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             self._window.close()
         self._window = None
 
-    def _readings(self) -> np.ndarray:
+    def _readings(self, now: Begun) -> np.ndarray:
         """What the rays read, [R], in 0..1; the true distances where the driver is not told them."""
-        assert self._now is not None
         begin = 0
         for part in self.task.observation_parts:
             if part.name == "rays":
-                return self._now.observation.double().numpy()[0, begin : begin + part.width]
+                return now.observation.double().numpy()[0, begin : begin + part.width]
             begin += part.width
-        ranges = self.task.simulator.sense(self._now.state.cars)
+        ranges = self.task.simulator.sense(now.state.cars)
         return ranges.double().numpy()[0] / self.task.simulator.sensor.max_range
-
-    def _steer(self, action: torch.Tensor) -> float:
-        """How far the wheel is turned, -1 to 1; 0 for a car that is not steered."""
-        names = self.task.simulator.vehicle.control_names
-        return float(self.task.action.controls(action)[0, names.index("steer")]) if "steer" in names else 0.0
 
     def _action_name(self, action: torch.Tensor) -> str:
         if self.task.action.names:
@@ -209,11 +204,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
 
 def observation_space(task: Task) -> gymnasium.spaces.Box:
     """Of one car."""
-    low, high = (
-        [bound for part in task.observation_parts for bound in [getattr(part, name)] * part.width]
-        for name in ("low", "high")
-    )
-    return gymnasium.spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
+    low, high = task.observation_bounds
+    return gymnasium.spaces.Box(low.numpy(), high.numpy())
 
 
 def check_options(options: Mapping[str, Any], others: Sequence[str] = ("max_episode_steps",)) -> None:
@@ -239,18 +231,14 @@ def check_render_mode(render_mode: str | None) -> None:
 
 
 def make_follow_picture(task: Task, size: tuple[int, int] | None = None) -> "FollowPicture":
-    """What draws scenes of a task, of the usual size unless one is asked for.
-
-    Raises:
-        ConfigError: pygame is not installed.
-    """
-    from carrl.render.raster import SIZE, FollowPicture
+    """What draws cars of a task, of the usual size unless one is asked for."""
+    from carrl.render.live import SIZE, FollowPicture
 
     return FollowPicture(task.simulator.tracks, _look(task), size or SIZE)
 
 
 def _look(task: Task) -> "CarLook":
-    from carrl.render.raster import CarLook
+    from carrl.render.live import CarLook
 
     simulator = task.simulator
     return CarLook(

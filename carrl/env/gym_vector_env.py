@@ -24,7 +24,8 @@ from carrl.task.task import Begun, StepResult, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.raster import FleetPicture, Window
+    from carrl.render.live import FleetPicture
+    from carrl.render.window import Window
 
 Bools = NDArray[np.bool_]
 Step = tuple[np.ndarray, np.ndarray, Bools, Bools, dict[str, Any]]
@@ -130,16 +131,16 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._now is None:
             raise ResetNeeded("call reset before the first step")
         taken = many_actions(actions, self.num_envs, self.task.action)
-        resetting = self._ended
+        before, resetting = self._now, self._ended
         if resetting.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise ResetNeeded(f"car {resetting.argmax()} has ended its episode; reset it with a reset_mask")
-            self._now = self._put(self._now, resetting)  # A car in a wall could not be driven on.
-        after = self.task.step(self._now.state, taken)
+            before = self._put(before, resetting)  # A car in a wall could not be driven on.
+        after = self.task.step(before.state, taken)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             outcome = self._end_in_same_step(after)
         else:
-            outcome = self._end_in_next_step(after, resetting)
+            outcome = self._end_in_next_step(before, after, resetting)
         if self.render_mode == "human":
             self.render()
         return outcome
@@ -148,22 +149,22 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """One picture of the cars on the first track.
 
         Raises:
-            ConfigError: there is no render mode, no display for a window, or no pygame.
+            ConfigError: there is no render mode, or for a window no display or no pygame.
         """
         if self.render_mode is None:
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         if self._now is None:
             raise ResetNeeded("call reset before the first picture")
         self._picture = self._picture or _make_fleet_picture(self.task)
-        from carrl.render.raster import Window, pixels
-
         shown = self._now.state.cars.track.numpy() == 0
         cars = f"{shown.sum():,} of {self.num_envs:,} cars" if not shown.all() else f"{self.num_envs:,} cars"
         title = f"{self.tracks[0].name}: {cars}"
         picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
-            return (pixels(picture),)
-        self._window = self._window or Window(picture.get_size(), "CarRL")
+            return (picture,)
+        from carrl.render.window import Window
+
+        self._window = self._window or Window((picture.shape[1], picture.shape[0]), "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
         return None
 
@@ -173,15 +174,13 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._window.close()
         self._window = None
 
-    def _end_in_next_step(self, after: StepResult, resetting: Bools) -> Step:
-        """What the step brought, but for the cars that it was to put back to the start."""
+    def _end_in_next_step(self, before: Begun, after: StepResult, resetting: Bools) -> Step:
+        """What the step brought, but for the cars that it was to put back to the start, where they were before it."""
         now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
         truncated = self._is_last_step(now)
-        driven = ~resetting
         if resetting.any():
-            assert self._now is not None
-            keep, reset = torch.from_numpy(driven), torch.from_numpy(resetting)
-            now = now.replacing(reset, self._now[reset])
+            keep, reset = torch.from_numpy(~resetting), torch.from_numpy(resetting)
+            now = now.replacing(reset, before[reset])
             terms, terminated, truncated = terms * keep[:, None], terminated & keep, truncated & keep
         self._now = now
         ends = terminated.numpy(), truncated.numpy()
@@ -273,6 +272,6 @@ def _finals(task: Task, now: Begun, terms: Tensor, ended: Bools) -> dict[str, An
 
 
 def _make_fleet_picture(task: Task) -> "FleetPicture":
-    from carrl.render.raster import FleetPicture
+    from carrl.render.live import FleetPicture
 
     return FleetPicture(task.simulator.track, task.simulator.vehicle.body_radius)

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from carrl.errors import TrackError
+from carrl.tracks.formats import READERS
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
 from carrl.tracks.track import Track
 
 _logger = logging.getLogger(__name__)
 
-CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
-"""Endings of the files of a folder that are taken for circuits."""
 MOST_CIRCUITS = 512
 """Of a run; each one is attached to the run's log, with about 75 bytes for every metre of its road."""
 
@@ -146,7 +145,7 @@ def circuit_files(folder: Path) -> list[Path]:
     if not 0 < len(found) <= MOST_CIRCUITS:
         count = f"more than {MOST_CIRCUITS}" if found else "0"
         raise TrackError(
-            f"folder '{folder}' has {count} files that end in {', '.join(CIRCUIT_FILES)}; "
+            f"folder '{folder}' has {count} files that end in {', '.join(READERS)}; "
             f"it must have at least one and at most {MOST_CIRCUITS}"
         )
     return found
@@ -159,4 +158,4 @@ def _files_below(folder: Path) -> Iterator[Path]:
     for path, folders, names in os.walk(folder, onerror=refuse):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         files = (Path(path, name) for name in names if not name.startswith("."))
-        yield from (file for file in files if file.suffix.lower() in CIRCUIT_FILES and file.is_file())
+        yield from (file for file in files if file.suffix.lower() in READERS and file.is_file())

@@ -16,15 +16,15 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
-from carrl.tracks import builtin
 from carrl.tracks.bridges import Bridge, check_road, find_bridges
-from carrl.tracks.centreline import Centreline, gap_of
-from carrl.tracks.csv_file import read_csv
-from carrl.tracks.drawing_file import MIN_GATE_SPACING, read_drawing
-from carrl.tracks.folds import cut_folds
+from carrl.tracks.centreline import Centreline, Road, gap_of
+from carrl.tracks.crossings import cut_folds
+from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import MIN_GATE_SPACING
+from carrl.tracks.formats import read_road
+from carrl.tracks.inspection import inspect_track
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 from carrl.tracks.routes import Routes
-from carrl.tracks.waypoint_file import read_waypoints
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
@@ -75,26 +75,16 @@ class Track:
         """
         name = str(name_or_path)
         _check_gate_spacing(name, gate_spacing)
-        if name in builtin.DRAWINGS:
-            drawing = builtin.DRAWINGS[name]
-            return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)
+        if name in DRAWINGS:
+            drawing = DRAWINGS[name]
+            return Track.from_road(name, drawing.centreline().road(drawing.gate_count), gate_spacing)
         path = Path(name_or_path)
         if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
             raise TrackError(
                 f"track '{name}': no file of this path and no built-in track of this name; "
                 f"the built-in ones are {', '.join(builtin_names())}"
             )
-        ending = path.suffix.lower()
-        if ending == ".npy":
-            road = read_waypoints(path)
-            track = Track.from_walls(
-                path.name, road.centre, road.left, road.right, gate_spacing or DEFAULT_GATE_SPACING
-            )
-            return replace(track, repeats=road.repeats)
-        if ending in (".yaml", ".yml"):
-            file = read_drawing(path)
-            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, file.gate_spacing)
-        return Track.from_centreline(path.name, read_csv(path), gate_spacing or DEFAULT_GATE_SPACING)
+        return Track.from_road(path.name, read_road(path), gate_spacing)
 
     @staticmethod
     def random(
@@ -122,8 +112,6 @@ class Track:
         Raises:
             TrackError: a value is no such number or range, or no circuit has these measures.
         """
-        from carrl.tracks.inspection import inspect_track  # Here, since it inspects what is defined here.
-
         name = f"random-{seed}"
         _check_gate_spacing(name, gate_spacing)
         for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing, hairpins):
@@ -135,29 +123,26 @@ class Track:
         )
 
     @staticmethod
-    def _from_drawing(
-        name: str,
-        centreline: Centreline,
-        wished_spacing: float | None,
-        gate_count: int | None,
-        gate_spacing: float | None = None,
-    ) -> "Track":
-        """A track with the gates as wished, or else as drawn."""
-        if wished_spacing is not None:
-            return Track.from_centreline(name, centreline, wished_spacing)
-        return Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING, gate_count)
+    def from_road(name: str, road: Road, gate_spacing: float | None = None) -> "Track":
+        """A track with the gates as wished, m, or else as its file has them.
+
+        Raises:
+            TrackError: the centreline crosses itself where no bridge can be made of it.
+        """
+        gates = road.gates if gate_spacing is None else None
+        spacing = gate_spacing or road.gate_spacing or DEFAULT_GATE_SPACING
+        return replace(Track.from_walls(name, road.centre, road.left, road.right, spacing, gates), repeats=road.repeats)
 
     @staticmethod
     def from_centreline(
         name: str, centreline: Centreline, gate_spacing: float = DEFAULT_GATE_SPACING, gate_count: int | None = None
     ) -> "Track":
-        """Builds the walls by offsetting the centreline, and the gates by `gate_count` or else by `gate_spacing` m.
+        """A track with walls beside the centreline, and gates by `gate_count` or else by `gate_spacing` m.
 
         Raises:
             TrackError: the centreline crosses itself where no bridge can be made of it.
         """
-        track = Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
-        return replace(track, repeats=centreline.repeats)
+        return Track.from_road(name, centreline.road(gate_count, gate_spacing))
 
     @staticmethod
     def from_walls(
@@ -217,6 +202,11 @@ class Track:
             bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
         )
 
+    @property
+    def road(self) -> Tensor:
+        """The centreline, the left and the right wall side by side, [P, 3, 2], float32, m."""
+        return torch.stack([self.centreline, self.left_wall, self.right_wall], dim=1)
+
     @cached_property
     def walls(self) -> Tensor:
         """Every wall as a pair of end points, left walls first, [S, 2, 2], float32, m; none without length."""
@@ -248,7 +238,7 @@ class Track:
 
     def room_at(self, stations: Tensor) -> Tensor:
         """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
-        return self._route.room(self._only(stations), stations)
+        return self._route.clearance(self._only(stations), stations)
 
     def next_gate(self, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
@@ -281,7 +271,7 @@ class Track:
 
     @cached_property
     def _route(self) -> Routes:
-        return Routes([self])
+        return Routes([self.road], [self.gate_count])
 
     @staticmethod
     def _only(stations: Tensor) -> Tensor:
@@ -291,7 +281,7 @@ class Track:
 
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
-    return list(builtin.DRAWINGS)
+    return list(DRAWINGS)
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:

@@ -12,11 +12,11 @@ from tensordict import TensorDictBase
 
 from carrl.data.replay_buffer import KEYS
 from carrl.data.source import Round
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import Drive, Trial
 from carrl.evaluation.rollout import rollout
 from carrl.log.messages import Metrics
-from carrl.log.schema import COLUMNS
 from carrl.sim.simulator import Simulator
+from carrl.train.provenance import log_schema
 
 if TYPE_CHECKING:
     from carrl.train.trainer import Trainer
@@ -27,8 +27,6 @@ LOGGED_WITHIN_S = 1.0
 """Wall time after which they are logged, if they are fewer."""
 METRICS_INTERVAL_S = 0.5
 """Wall time for each replicate after which learning is measured with the next transitions logged; it takes 2 ms."""
-LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)))
-"""The log's columns, and what the loss reads besides."""
 
 
 class Callback:
@@ -58,6 +56,7 @@ class Recorder(Callback):
     """Writes transitions to the logs, many at once, which costs little more than a few."""
 
     def __init__(self) -> None:
+        self._keys: list[Any] = []
         self._waiting: list[TensorDictBase] = []
         self._logged, self._logged_at = 0, time.monotonic()
         self._measured, self._measured_at = 0, self._logged_at
@@ -68,9 +67,12 @@ class Recorder(Callback):
 
     def collected(self, trainer: "Trainer", batch: Round) -> None:
         """Keeps the transitions to be logged together, and logs them when that is due."""
-        if batch.transitions is None:
+        if batch.transitions is None or trainer.source.env is None:
             return
-        self._waiting.append(batch.transitions.select(*LOGGED_KEYS).clone())
+        if not self._keys:
+            schema = log_schema(trainer.source.env, trainer.algorithm.log_columns)
+            self._keys = list(dict.fromkeys([*schema.keys, *KEYS]))  # the columns, and what the loss reads besides
+        self._waiting.append(batch.transitions.select(*self._keys).clone())
         if trainer.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
             self.flush(trainer)
         if trainer.learner.learns_for_the_first_time:  # half a minute, in which a kill would lose them
@@ -165,5 +167,12 @@ class Evaluator(Callback):
         if self._simulator is None:
             self._simulator = world.simulator(world.circuits.validation, trainer.algorithm.collect_policy.device)
         track = torch.arange(circuits).repeat(replicates)
-        drives = rollout(world, self._simulator, trainer.algorithm.greedy_policy, torch.zeros(len(track)), track)
-        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+
+        def of_replicates(drives: Sequence[Drive]) -> list[Trial]:
+            return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+
+        def shown(drives: Sequence[Drive]) -> list[int]:
+            return [number * circuits + trial.shown for number, trial in enumerate(of_replicates(drives))]
+
+        policy, stations = trainer.algorithm.greedy_policy, torch.zeros(len(track))
+        return of_replicates(rollout(world, self._simulator, policy, stations, track, shown))

@@ -12,7 +12,6 @@ import yaml
 from torchrl import logger as torchrl_logger
 
 from carrl.config import build_node, foreign_targets, is_whole_number, module_of, name_for_trust
-from carrl.data.source import Source
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
@@ -25,7 +24,7 @@ from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
 from carrl.train.folder import RunFolder, check_tables
 from carrl.train.inputs import Inputs, check_inputs, checksums
 from carrl.train.new_folder import LOCK, check_holds_no_run, locked
-from carrl.train.provenance import describe_run
+from carrl.train.provenance import describe_run, log_schema
 from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
 from carrl.train.trainer import Trainer
@@ -128,7 +127,7 @@ class Experiment:
         for index, seed in enumerate(pipeline.algorithm.seeds):
             path, config = self._replicate(seed)
             own_state, scalars = state["folders"][index] if state else None, _open_scalars(path, config)
-            log = _open_log(path, config, pipeline.source, seed, own_state, state_file)
+            log = _open_log(path, config, pipeline, seed, own_state, state_file)
             if log is not None:
                 stack.enter_context(log)  # which completes it where the folder is refused
             folders.append(stack.enter_context(RunFolder(path, log, own_state, scalars)))
@@ -232,15 +231,16 @@ def _write(path: Path, text: str) -> None:
 
 
 def _open_log(
-    path: Path, config: Config, source: Source, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
+    path: Path, config: Config, pipeline: Pipeline, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
 ) -> LogWriter | None:
-    env = source.env
+    env = pipeline.source.env
     if not config.get("recorder") or env is None:
         return None
     log: LogWriter = build_node(
         "recorder",
         config["recorder"],
         path=path / LOG,
+        schema=log_schema(env, pipeline.algorithm.log_columns),
         attachments={
             "config.yaml": as_yaml(config).encode(),
             **{
@@ -248,7 +248,7 @@ def _open_log(
                 for index, track in enumerate(env.tracks)
             },
         },
-        metadata=describe_run(env, seed, source.cars),
+        metadata=describe_run(env, seed, pipeline.source.cars),
         state=state["log"] if state else None,
         make_room=state_file.make_room,
     )
@@ -295,7 +295,7 @@ def _draw(trainer: Trainer) -> None:
 
 
 def _draw_learning_curve(run: ReplicateRun) -> None:
-    from carrl.render.learning_curve import draw_learning_curve  # Here, since Matplotlib takes long to import.
+    from carrl.render.curves import draw_learning_curve  # Here, since Matplotlib takes long to import.
 
     first_lap = run.first_lap.episode if run.first_lap else None
     draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
@@ -315,6 +315,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
             best.actions,
             action_names=world.action.names,
             body_radius=world.vehicle.body_radius,
+            sensor_range=world.sensor.max_range,
             title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
             collided=best.collided,
         )

@@ -27,7 +27,7 @@ def test_episodes_are_numbered_by_when_they_begin():
     first = batch([[1, 2, 3], [10, 20, 30]], [[False, True, False], [False, False, True]])
     tracker.follow(first)
     assert first["episode"].tolist() == [[0, 0, 2], [1, 1, 1]]
-    assert first["env"].tolist() == [[0, 0, 0], [1, 1, 1]]
+    assert first["car"].tolist() == [[0, 0, 0], [1, 1, 1]]
     second = batch([[4], [40]], [[False], [False]])
     tracker.follow(second)
     assert second["episode"].tolist() == [[2], [3]]
@@ -69,7 +69,7 @@ def test_every_agent_has_an_account_of_its_own():
     assert ended_of_first == ended
     assert torch.equal(all_four[:2]["episode"], expected["episode"])
     assert all_four[2:]["episode"].tolist() == [[0, 2, 3], [1, 1, 1]]
-    assert all_four[2:]["env"].tolist() == [[0, 0, 0], [1, 1, 1]]
+    assert all_four[2:]["car"].tolist() == [[0, 0, 0], [1, 1, 1]]
     assert [(e.episode, e.frame, e.length) for e in ended_of_second] == [(0, 2, 0), (2, 4, 0), (3, 6, 0)]
     assert together.frames == 6
 

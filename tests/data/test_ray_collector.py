@@ -88,7 +88,7 @@ def killed(tmp_path_factory):
 def log(killed):
     """Its transitions by car, [CARS, FRAMES / CARS]."""
     transitions = load(killed.run / "train.mcap")
-    assert (transitions["env"] == torch.arange(CARS).repeat(FRAMES // CARS)).all()
+    assert (transitions["car"] == torch.arange(CARS).repeat(FRAMES // CARS)).all()
     return transitions.view(-1, CARS).transpose(0, 1)
 
 

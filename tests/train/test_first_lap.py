@@ -10,7 +10,7 @@ from carrl.cli.text.many_runs import _figures, _result
 from carrl.evaluation.results import Trial
 from carrl.evaluation.rollout import drive, rule_policy
 from carrl.report.findings import find
-from carrl.report.runs_table import runs_table
+from carrl.report.text import runs_table
 from carrl.train.build import build_pipeline
 from carrl.train.callbacks import Evaluator
 from carrl.train.folder import RunFolder

@@ -169,7 +169,11 @@ def test_another_optimizer_than_plain_adam_runs_eagerly(optimizer, reason, caplo
     (replicate,) = pipeline.algorithm.replicates
     replicate = replace(replicate, optimizer=optimizer(list(replicate.loss.parameters())))
     before = [parameter.clone() for parameter in replicate.network.parameters()]
-    Learner(DQN([replicate], pipeline.algorithm.exploration), pipeline.replay_buffer, compiled=True).learn(3)
+    Learner(
+        DQN([replicate], pipeline.algorithm.exploration, pipeline.world.action.names),
+        pipeline.replay_buffer,
+        compiled=True,
+    ).learn(3)
     (message,) = messages(caplog)
     assert reason in message
     assert any((a != b).any() for a, b in zip(before, replicate.network.parameters(), strict=True))

@@ -14,6 +14,7 @@ from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
+from carrl.train.provenance import log_schema
 from carrl.train.trainer import Trainer
 from tests.configs import compose
 
@@ -24,10 +25,11 @@ def train(folder, *overrides):
     pipeline = build_pipeline(config)
     with ExitStack() as stack:
         folders = []
+        schema = log_schema(pipeline.source.env, pipeline.algorithm.log_columns)
         for agent in pipeline.algorithm.replicates:
             path = folder / str(agent.seed) if len(pipeline.algorithm.replicates) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)
-            recorder = LogWriter(path / "train.mcap", attachments={}, metadata={})
+            recorder = LogWriter(path / "train.mcap", schema=schema, attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
         trainer.run(lambda _: None)
@@ -92,7 +94,7 @@ def test_the_log_tells_episodes_apart(tmp_path):
     for number in log["episode"].unique().tolist():
         episode = log[log["episode"] == number]
         assert torch.equal(episode["step"], torch.arange(len(episode)))
-        assert len(episode["env"].unique()) == 1
+        assert len(episode["car"].unique()) == 1
         assert not episode["next", "done"][:-1].any()
     assert int(log["next", "done"].sum()) == trainer.runs[0].episodes
     with (tmp_path / "metrics.csv").open() as file:

@@ -4,7 +4,7 @@ Shapes: `A` replicates, `N` transitions of a minibatch.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -82,53 +82,3 @@ def _stacked(trees: Sequence[Tree], stack: Any = torch.stack) -> Tree:
     leaves, structures = zip(*map(tree_flatten, trees), strict=True)
     stacked: Tree = tree_unflatten([stack(tensors) for tensors in zip(*leaves, strict=True)], structures[0])
     return stacked
-
-
-class Adam(NamedTuple):
-    """What a functional update needs of torch's Adam, the same for all replicates.
-
-    Source: Kingma and Ba 2015, "Adam: A Method for Stochastic Optimization", Algorithm 1.
-    """
-
-    lr: float
-    beta_1: float
-    beta_2: float
-    eps: float
-
-    @classmethod
-    def of(cls, optimizer: torch.optim.Optimizer) -> "Adam":
-        """What an optimizer does.
-
-        Raises:
-            CompilationError: it is not plain Adam with one group of parameters.
-        """
-        if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
-            raise CompilationError(f"the optimizer is {type(optimizer).__name__}, not Adam with one group")
-        (group,) = optimizer.param_groups
-        extras = [name for name in ("weight_decay", "amsgrad", "maximize", "decoupled_weight_decay") if group[name]]
-        if extras:
-            raise CompilationError(f"the optimizer uses {', '.join(extras)}")
-        beta_1, beta_2 = group["betas"]
-        return cls(group["lr"], beta_1, beta_2, group["eps"])
-
-    @staticmethod
-    def state_of(optimizer: torch.optim.Optimizer, parameters: Mapping[Any, Tensor]) -> Tree:
-        """Its state, by `step`, `exp_avg` and `exp_avg_sq`, and by the parameters' names; it has made a step."""
-        names = ("step", "exp_avg", "exp_avg_sq")
-        return {name: {key: optimizer.state[each][name] for key, each in parameters.items()} for name in names}
-
-    def step(self, parameters: Tree, gradients: Tree, state: Tree, lr: float | Tensor | None = None) -> tuple[Any, Any]:
-        """One replicate's parameters and the optimizer's state after a step."""
-        rate = self.lr if lr is None else lr
-        moved: dict[Any, Tensor] = {}
-        after: dict[str, dict[Any, Tensor]] = {name: {} for name in state}
-        for key, value in parameters.items():
-            gradient, step = gradients[key], state["step"][key] + 1
-            average = state["exp_avg"][key].lerp(gradient, 1 - self.beta_1)
-            square = torch.addcmul(state["exp_avg_sq"][key] * self.beta_2, gradient, gradient, value=1 - self.beta_2)
-            taken = step.double()
-            unbiased = average / (1 - self.beta_1**taken).to(average.dtype)
-            scale = (square / (1 - self.beta_2**taken).to(square.dtype)).sqrt() + self.eps
-            moved[key] = value - rate * unbiased / scale
-            after["step"][key], after["exp_avg"][key], after["exp_avg_sq"][key] = step, average, square
-        return moved, after

@@ -8,9 +8,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.objectives import DQNLoss
 
-from carrl.algorithms.common.network import QNetwork
+from carrl.algorithms.common.network import QNetwork, predicts_distribution
 from carrl.algorithms.dqn.loss import set_discount
-from carrl.algorithms.dqn.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
 
 

@@ -16,10 +16,8 @@ from torchrl.data import Categorical
 from torchrl.objectives import DQNLoss
 
 from carrl.algorithms.algorithm import Algorithm, Figures, FunctionalUpdate, Policy, Tree, UpdateResult
-from carrl.algorithms.common.compiled_update import Adam
-from carrl.algorithms.common.gradient_clipping import GradientClipping
-from carrl.algorithms.common.learning_rate import LearningRateDecay
 from carrl.algorithms.common.network import QNetwork
+from carrl.algorithms.common.optimizer import Adam, GradientClipping, LearningRateDecay
 from carrl.algorithms.common.target_updater import SoftTargetUpdate, TargetUpdater
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.exploration import EpsilonGreedy
@@ -28,6 +26,7 @@ from carrl.algorithms.dqn.policy import ExploringPolicy, GreedyPolicy
 from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.generators import part_generator
+from carrl.log.schema import Column
 from carrl.task.world import World
 
 MOST_MEASURED = 256
@@ -54,11 +53,13 @@ class DQN(Algorithm):
     Args:
         replicates: alike in everything but their values.
         exploration: of all their cars.
+        action_names: of the actions that there are.
     """
 
-    log_columns = ("action_value", "epsilon", "exploratory")
-
-    def __init__(self, replicates: Sequence[Replicate], exploration: EpsilonGreedy) -> None:
+    def __init__(
+        self, replicates: Sequence[Replicate], exploration: EpsilonGreedy, action_names: Sequence[str]
+    ) -> None:
+        self.log_columns = dqn_columns(action_names)
         self.replicates, self.exploration = list(replicates), exploration
         self.seeds = [replicate.seed for replicate in replicates]
         networks = [replicate.network for replicate in replicates]
@@ -266,6 +267,16 @@ def _networks_of(loss: DQNLoss, networks: Mapping[str, Tree]) -> Iterator[None]:
         loss._modules.update(own)
 
 
+def dqn_columns(action_names: Sequence[str]) -> tuple[Column, ...]:
+    """What DQN has to say of a transition."""
+    names = tuple(action_names)
+    return (
+        Column("action_value", "action_value", "float32", (len(names),), "Q-values of the actions", names),
+        Column("epsilon", "epsilon", "float32", (), "probability with which an action was drawn at random"),
+        Column("exploratory", "exploratory", "bool", (), "the action was drawn at random"),
+    )
+
+
 @dataclass(frozen=True)
 class DQNRecipe:
     """Makes `DQN` of a configuration's network, loss, target_updater, optimizer, exploration and their like."""
@@ -283,7 +294,7 @@ class DQNRecipe:
             action_spec=world.action.spec.to(device),
             generators=[part_generator(seed, "exploration") for seed in seeds],
         )
-        return DQN(replicates, exploration.to(device))
+        return DQN(replicates, exploration.to(device), world.action.names)
 
     def _replicate(self, config: Mapping[str, Any], world: World, seed: int, device: torch.device) -> Replicate:
         network = self.make_network(config, world, part_generator(seed, "network")).to(device)

@@ -10,8 +10,7 @@ from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
 from torchrl.objectives import DQNLoss
 
-from carrl.algorithms.common.network import QNetwork, is_dueling
-from carrl.algorithms.dqn.return_distribution import predicts_distribution
+from carrl.algorithms.common.network import QNetwork, is_dueling, predicts_distribution
 from carrl.errors import ConfigError
 
 _Loss = TypeVar("_Loss", bound=DQNLoss)

@@ -18,7 +18,7 @@ from rich.text import Text
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
 from carrl.printable import printable
-from carrl.report.summary_file import missing_lap
+from carrl.report.runs import missing_lap
 from carrl.train.experiment import Observer, road_warning
 from carrl.train.replicate_run import RECENT_EPISODES
 from carrl.train.trainer import Trainer

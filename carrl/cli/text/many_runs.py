@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from carrl.printable import printable
-from carrl.report.summary_file import missing_lap
+from carrl.report.runs import missing_lap
 from carrl.train.sweep import JobNote, SweepFolder, read_summaries
 
 FILE_WIDTH = 160
