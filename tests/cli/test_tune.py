@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from carrl.cli.main import main
-from carrl.cli.search_space import Choice, Range, parse_search_space
-from carrl.cli.tune import _read_by_training
+from carrl.cli.tune import Choice, Range, _read_by_training, parse_search_space
 from carrl.errors import ConfigError
 from carrl.train.replicate_run import OBJECTIVES
 
