@@ -42,13 +42,16 @@ class CompiledUpdate:
         fixed = {"constants": _stacked(update.constants), "memory": dict(memory)}
         self._fixed = tree_flatten({"state": state, **fixed})[0]
         given = self._given(items, torch.ones(items.shape))
+        self._has_inputs = bool(tree_flatten(given["inputs"])[0])
         scratch = tree_map(torch.clone, state)  # which the tracing may change
         inputs, self._names = tree_flatten(({"state": scratch, **fixed}, given))
         self._call = compile_native(self._all_replicates, inputs)
 
     def __call__(self, items: Tensor, weights: Tensor | None) -> UpdateResult:
         """Updates on the transitions at these places of the memory, [N, A], with these weights, [N, A]."""
-        results = self._call([*self._fixed, *tree_flatten(self._given(items, weights))[0]])
+        drawn = [items] if weights is None else [items, weights]  # in the order of `_given`, without flattening it
+        made = tree_flatten(_stacked(self._update.inputs()))[0] if self._has_inputs else []
+        results = self._call([*self._fixed, *drawn, *made])
         return UpdateResult(results[0], results[1].T if self._weighted else None)
 
     def _given(self, items: Tensor, weights: Tensor | None) -> Tree:
