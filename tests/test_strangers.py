@@ -15,9 +15,10 @@ import torch
 
 from carrl.cli.main import main
 from carrl.log.writer import LogWriter
-from carrl.report.choices import HYDRA, OVERRIDES
-from carrl.report.sweeps import SWEEP
+from carrl.report.groups import HYDRA, OVERRIDES
+from carrl.report.problems import SWEEP
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path
+from tests.logs import make_schema
 from tests.operations import count_calls
 from tests.strangers import Payload, make_run, proves_harmful, refused
 
@@ -126,7 +127,7 @@ def test_a_log_with_payloads_is_read_as_data(tmp_path, marker, capsys):
         "\x1b[2J": b"",
     }
     entries = {"action_names": f"__import__('os').system('touch {marker}')", "\x1b]0;x\x07": "\x1b[31m"}
-    with LogWriter(tmp_path / "a.mcap", attachments=attachments, metadata=entries):
+    with LogWriter(tmp_path / "a.mcap", schema=make_schema(), attachments=attachments, metadata=entries):
         pass
     for verb in (["info"], ["ls"], ["stats"], ["check"], ["recover"], ["cat"], ["show"], ["replay", "--no-open"]):
         more = [tmp_path / "mended.mcap"] if verb == ["recover"] else []

@@ -100,21 +100,21 @@ def _list(arguments: argparse.Namespace) -> int:
     else:
         header = ("track", "length", "width", "least radius", "gates")
         title = ", ".join(arguments.folders) or "built-in tracks"
-        _print_table(title, header, [_row(report) for report in reports])
+        from carrl.cli.text.terminal_table import print_table
+
+        print_table(title, header, [_row(report) for report in reports])
     return 2 if refused else 0
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    from carrl.render.figure import save_figure
-    from carrl.render.picture_file import picture_format
+    from carrl.render import picture_format
     from carrl.render.track_map import draw_track_map
     from carrl.tracks.track import Track
 
     track = Track.load(arguments.track)
     path = Path(arguments.out or f"{Path(track.name).stem}.png")
     picture_format(path, "--out")
-    track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
-    save_figure(track_map.figure, path)
+    draw_track_map(path, track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
     print(printable(str(path)))
     return 0
 
@@ -272,20 +272,10 @@ def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str]) ->
         ("near a wall for it", metres(car.near_wall)),
         ("faults", f"{len(report.faults)}" if report.faults else "none"),
     ]
-    _print_table(report.name, ("", ""), rows)
+    from carrl.cli.text.terminal_table import print_table
+
+    print_table(report.name, ("", ""), rows, figures=())
     for fault in report.faults:
         print(f"fault: {fault}")
     for warning in warnings:
         print(f"warning: for the default car, {warning}")
-
-
-def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=printable(title), title_justify="left", show_header=any(header))
-    for name in header:
-        table.add_column(name, overflow="fold")
-    for row in rows:
-        table.add_row(*map(printable, row))
-    Console(markup=False, highlight=False, emoji=False).print(table)

@@ -41,6 +41,19 @@ def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
     assert trial.shown == 1
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_only_the_trajectory_of_the_drive_to_look_at_is_kept(kept, lap, crash):
+    trial = EvaluationResult((lap, crash, lap)).with_trajectory(kept)
+    assert trial.measures() == EvaluationResult((lap, crash, lap)).measures()
+    steps = [len(drive.actions) for drive in trial.rollouts]
+    assert steps == [0, len(crash.actions) if kept else 0, 0]
+    assert [len(drive.poses) for drive in trial.rollouts] == [0, steps[1] + 1 if kept else 0, 0]
+    assert all(array.base is None for drive in trial.rollouts for array in (drive.poses, drive.ranges, drive.actions))
+    loaded = EvaluationResult.from_state_dict(trial.state_dict())
+    assert loaded.measures() == trial.measures()
+    assert (loaded.rollouts[1].ranges == trial.rollouts[1].ranges).all()
+
+
 def test_more_laps_are_better_than_more_progress(lap, crash):
     hopeless = replace(crash, progress=0.0)
     one_lap, none = EvaluationResult((lap, hopeless)), EvaluationResult((replace(crash, progress=0.9),) * 2)

@@ -15,8 +15,8 @@ from rich.console import Console
 from carrl.cli.text.log_stats_text import print_log_stats
 from carrl.errors import CarrlError, LogError
 from carrl.log.messages import Episode
-from carrl.render.figure import BLACK, BLUE, VERMILLION, YELLOW
-from carrl.render.terminal_bars import histogram
+from carrl.render.colours import BLACK, BLUE, VERMILLION, YELLOW
+from carrl.render.terminal import histogram
 from carrl.report.log_stats import LogStats, crowding, section_name, sections_at, stations_near
 from carrl.report.log_stats_figure import draw_log_stats
 from tests.operations import count_calls
