@@ -10,6 +10,10 @@ from collections.abc import Callable
 from functools import cached_property, update_wrapper
 from typing import Any
 
+import numpy as np
+import torch
+from torch import Tensor
+
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """A division by zero gives inf or nan, as in torch."""
 
@@ -47,3 +51,8 @@ def inlined(function: Callable[..., Any]) -> Any:
     import numba
 
     return numba.njit(function, inline="always", **_OPTIONS)
+
+
+def as_array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
+    """The tensor's own memory; a copy of one of another type or layout, for which Numba would compile anew."""
+    return (tensor if tensor.dtype is dtype else tensor.to(dtype)).contiguous().numpy()

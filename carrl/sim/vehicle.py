@@ -50,6 +50,11 @@ class Disc:
         """From the middle of the car to the point of the body that is furthest off, m."""
         return self.radius
 
+    @property
+    def measures(self) -> tuple[float, float, float]:
+        """Radius, half length and half width as the machine code has them, m; 0 for what another body has."""
+        return float(self.radius), 0.0, 0.0
+
 
 @dataclass(frozen=True)
 class Rectangle:
@@ -78,6 +83,11 @@ class Rectangle:
     def reach(self) -> float:
         """From the middle of the car to a corner, m."""
         return math.hypot(self.length, self.width) / 2
+
+    @property
+    def measures(self) -> tuple[float, float, float]:
+        """Radius, half length and half width as the machine code has them, m; 0 for what another body has."""
+        return 0.0, self.length / 2, self.width / 2
 
 
 class VehicleModel(ABC):
