@@ -258,11 +258,12 @@ def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> 
     # here, so that a process that only hands out jobs does not wait for what trains
     from carrl.cli.text.console import RoadWarning, StopOnSignals
     from carrl.train.build import build_world, logs_of
-    from carrl.train.experiment import Experiment, Observer
+    from carrl.train.callbacks import Callback as TrainingCallback
+    from carrl.train.experiment import Experiment
     from carrl.train.inputs import check_inputs, checksums
     from carrl.train.resumption import resumed_state
 
-    class StopFileWatcher(Observer):
+    class StopFileWatcher(TrainingCallback):
         """Ends the training once the sweep is to end."""
 
         looked_at = time.monotonic()

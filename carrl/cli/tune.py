@@ -21,8 +21,9 @@ from carrl.cli.parser import Parser, named_folder
 from carrl.cli.text.console import RoadWarning, StopOnSignals
 from carrl.cli.text.many_runs import TrialRow, TuningConsole
 from carrl.errors import CarrlError, ConfigError, shown
+from carrl.train.callbacks import Callback
 from carrl.train.composition import composed
-from carrl.train.experiment import Experiment, Observer
+from carrl.train.experiment import Experiment
 from carrl.train.new_folder import check_holds_no_run, locked, make_new
 from carrl.train.overrides import is_search, readable_overrides
 from carrl.train.replicate_run import OBJECTIVES, Objective
@@ -175,7 +176,7 @@ class Tuning:
         try:
             config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
-            pruning = PruningObserver(trial, self.objective, config)
+            pruning = PruningCallback(trial, self.objective, config)
             summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
                 [RoadWarning(), StopOnSignals(), pruning]
             )
@@ -196,7 +197,7 @@ class Tuning:
             study.tell(trial, pruning.value)
 
 
-class PruningObserver(Observer):
+class PruningCallback(Callback):
     """Follows a trial's greedy drives, and ends it as soon as its value is final, or the study's pruner gives it up."""
 
     def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:

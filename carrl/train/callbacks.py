@@ -30,18 +30,27 @@ METRICS_INTERVAL_S = 0.5
 
 
 class Callback:
-    """What a trainer calls at certain points; by default each does nothing."""
+    """Follows a training run; override what is of use."""
 
-    def collected(self, trainer: "Trainer", batch: Round) -> None:
+    def on_start(self, trainer: "Trainer") -> None:
+        """Called once, before the first round."""
+
+    def on_round(self, trainer: "Trainer") -> None:
+        """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
+
+    def on_end(self) -> None:
+        """Called once after the last round, also where an error ended the run."""
+
+    def on_collected(self, trainer: "Trainer", batch: Round) -> None:
         """A round's transitions are in the memory, and nothing was learnt from them yet."""
 
-    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
         """All updates of a round are made."""
 
-    def flush(self, trainer: "Trainer") -> None:
+    def on_flush(self, trainer: "Trainer") -> None:
         """Nothing may be held back: the state is to be saved, or replicates' runs end."""
 
-    def ended(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
+    def on_limit(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
         """These replicates have reached a limit; their runs end after this."""
 
     def state_dict(self) -> dict[str, Any]:
@@ -65,7 +74,7 @@ class Recorder(Callback):
         """Goes on from there; the logs are written up to there."""
         self._logged = self._measured = trainer.frames
 
-    def collected(self, trainer: "Trainer", batch: Round) -> None:
+    def on_collected(self, trainer: "Trainer", batch: Round) -> None:
         """Keeps the transitions to be logged together, and logs them when that is due."""
         if batch.transitions is None or trainer.source.env is None:
             return
@@ -74,13 +83,13 @@ class Recorder(Callback):
             self._keys = list(dict.fromkeys([*schema.keys, *KEYS]))  # the columns, and what the loss reads besides
         self._waiting.append(batch.transitions.select(*self._keys).clone())
         if trainer.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
-            self.flush(trainer)
+            self.on_flush(trainer)
         if trainer.learner.learns_for_the_first_time:  # half a minute, in which a kill would lose them
-            self.flush(trainer)
+            self.on_flush(trainer)
             for run in trainer.active.values():
                 run.folder.flush()
 
-    def flush(self, trainer: "Trainer") -> None:
+    def on_flush(self, trainer: "Trainer") -> None:
         """Logs the transitions since the last call."""
         if not self._waiting:
             return
@@ -112,7 +121,7 @@ class Recorder(Callback):
 class LoggedProgress(Callback):
     """Where transitions come from logs, adds a row for each round to the tables, as there are no episodes."""
 
-    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
         """Measures every replicate on a fixed sample of the logged transitions."""
         sample = trainer.source.sample
         if sample is None:
@@ -143,13 +152,13 @@ class Evaluator(Callback):
         """Goes on from there."""
         self._evaluated_at, self._round_began_at = state["evaluated_at"], trainer.frames
 
-    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
         """Evaluates if the round has passed a multiple of the interval."""
         before, self._round_began_at = self._round_began_at, trainer.frames
         if self._interval is not None and trainer.frames // self._interval > before // self._interval:
             self._evaluate(trainer)
 
-    def ended(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
+    def on_limit(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
         """Evaluates the networks as they are, unless that was done."""
         if self._evaluated_at != trainer.frames:
             self._evaluate(trainer)

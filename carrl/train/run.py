@@ -25,8 +25,9 @@ from carrl.task.task import World
 from carrl.tracks.circuits import Folder, load_folder
 from carrl.tracks.track import Track
 from carrl.train.build import build_world, load_greedy_policy
+from carrl.train.callbacks import Callback
 from carrl.train.composition import composed, quote
-from carrl.train.experiment import Config, Experiment, Observer, Summary, own_modules, road_warning
+from carrl.train.experiment import Config, Experiment, Summary, own_modules, road_warning
 from carrl.train.files import LOG, SUMMARY, load_config, read_text, seed_folders
 from carrl.train.new_folder import locked, make_new
 from carrl.train.overrides import check_is_read, is_text, named_overrides, readable_overrides
@@ -236,7 +237,7 @@ def train(
     resume: str | Path | None = None,
     config_dir: str | Path | None = None,
     trust: Sequence[str] = (),
-    observers: Sequence[Observer] = (),
+    callbacks: Sequence[Callback] = (),
     progress: bool = False,
     **values: Any,
 ) -> Run:
@@ -249,7 +250,7 @@ def train(
         resume: the folder of a run to go on with instead of beginning one.
         config_dir: a folder of groups and experiments of your own, beside which your modules may lie.
         trust: modules of your own that a run to be resumed may use.
-        observers: follow the training.
+        callbacks: follow the training.
         progress: print how it goes on standard error.
         **values: of the configuration, by their keys; a mapping stands for the keys below.
 
@@ -258,7 +259,7 @@ def train(
     """
     typed = [*_typed({**({"experiment": experiment} if experiment else {}), **values})]
     typed += _typed(overrides) if isinstance(overrides, Mapping) else overrides
-    watching = [_Warner(), *([_Printer()] if progress else []), *observers]
+    watching = [_Warner(), *([_Printer()] if progress else []), *callbacks]
     if resume is not None:
         return _resume(Path(resume), typed, trust, watching)
     readable = readable_overrides(typed, is_sweep=None, verb="carrl.train", folder_key="folder=")
@@ -274,11 +275,11 @@ def train(
     return Run(path, own_modules(config))
 
 
-def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], observers: Sequence[Observer]) -> Run:
+def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], callbacks: Sequence[Callback]) -> Run:
     load_config(run, trust)  # so that nothing is written to a folder that is no run's
     with locked(run):
         resumption = resumption_of(run, named_overrides(typed), trust)
-        Experiment(resumption.config, run).go_on(resumption.state, observers)
+        Experiment(resumption.config, run).go_on(resumption.state, callbacks)
     return Run(run, trust)
 
 
@@ -310,7 +311,7 @@ def _as_typed(value: Any) -> str:
     raise ConfigError(f"{value!r} is no value of a configuration; give a number, text, list or mapping")
 
 
-class _Warner(Observer):
+class _Warner(Callback):
     """Warns of a track that does not suit the car."""
 
     def on_start(self, trainer: Trainer) -> None:
@@ -319,7 +320,7 @@ class _Warner(Observer):
             warnings.warn(warning.removeprefix("warning: "), stacklevel=2)
 
 
-class _Printer(Observer):
+class _Printer(Callback):
     """Prints a line every few seconds."""
 
     _INTERVAL_S = 2.0

@@ -96,10 +96,10 @@ class Training:
 
 @pytest.fixture
 def judge_of():
-    from carrl.cli.tune import PruningObserver
+    from carrl.cli.tune import PruningCallback
 
     config = {"trainer": {"frames": 1000}, "evaluation": {"interval": 250}}
-    return lambda trial, objective="first_lap": PruningObserver(trial, OBJECTIVES[objective], config)
+    return lambda trial, objective="first_lap": PruningCallback(trial, OBJECTIVES[objective], config)
 
 
 def test_a_hopeless_trial_is_stopped(judge_of):

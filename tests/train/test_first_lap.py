@@ -92,7 +92,7 @@ def test_agents_side_by_side_confirm_their_own_laps(lap, crash, tmp_path, monkey
         for seed in (0, 1):
             (tmp_path / str(seed)).mkdir()
         trainer = Trainer(pipeline, [stack.enter_context(RunFolder(tmp_path / str(seed))) for seed in (0, 1)])
-        trainer.run(lambda _: None)
+        trainer.run()
     assert [run.first_lap.frame for run in trainer.runs] == [128, 160]
     assert trainer.summaries()[1]["first_lap"].keys() == {"episode", "frame", "wall_time_s"}
 
@@ -104,7 +104,7 @@ def test_a_network_that_learnt_from_logs_is_driven_once_and_has_no_first_lap(lap
     monkeypatch.setattr(Evaluator, "drive", lambda *_: [lap])
     with RunFolder(tmp_path / "run") as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run(lambda _: None)
+        trainer.run()
     (summary,) = trainer.summaries()
     assert (summary["first_lap"], summary["evaluation"]["lap_completed"]) == (None, True)
 

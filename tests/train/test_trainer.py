@@ -17,6 +17,7 @@ from carrl.train.plan import TrainingPlan
 from carrl.train.provenance import log_schema
 from carrl.train.trainer import Trainer
 from tests.configs import compose
+from tests.train.rounds import AfterRounds
 
 
 def train(folder, *overrides):
@@ -32,7 +33,7 @@ def train(folder, *overrides):
             recorder = LogWriter(path / "train.mcap", schema=schema, attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
-        trainer.run(lambda _: None)
+        trainer.run()
     return trainer, pipeline
 
 
@@ -73,7 +74,7 @@ def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs)
     agent.target_updater.step = watched_step
     with RunFolder(tmp_path) as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run(lambda _: None)
+        trainer.run()
     # At 100 steps no update has been made yet (a batch is 128), so the copy at C changes nothing there.
     assert copies == [200, 300]
     assert sum(steps) == trainer.frames
@@ -162,7 +163,7 @@ def test_stop_ends_the_run_after_the_round(tmp_path):
     pipeline = build_pipeline(compose("env.num_envs=4"))
     with RunFolder(tmp_path) as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run(lambda running: running.stop() if running.frames >= 40 else None)
+        trainer.run([AfterRounds(lambda running: running.stop() if running.frames >= 40 else None)])
     assert trainer.frames == 40
     assert trainer.runs[0].last is None
     assert (tmp_path / "checkpoints" / "last.pt").exists()
