@@ -18,14 +18,14 @@ from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.algorithms.common.network import make_q_network
 from carrl.algorithms.dqn.dqn import dqn_columns
-from carrl.data.episodes import EpisodeTracker
+from carrl.data.source import EpisodeTracker
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.rollout import rule_policy
 from carrl.log import load
-from carrl.log.messages import Episode
+from carrl.log.log_file import Episode
 from carrl.log.writer import LogWriter
 from carrl.task.start import Start
-from carrl.train.provenance import log_schema
+from carrl.train.callbacks import log_schema
 
 SCHEMA = log_schema(TrackEnv(), dqn_columns(("forward", "left", "right")))
 HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")

@@ -260,7 +260,7 @@ def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> 
     from carrl.train.build import build_world, logs_of
     from carrl.train.callbacks import Callback as TrainingCallback
     from carrl.train.experiment import Experiment
-    from carrl.train.inputs import check_inputs, checksums
+    from carrl.train.files import check_inputs, checksums
     from carrl.train.resumption import resumed_state
 
     class StopFileWatcher(TrainingCallback):

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carrl.cli.parser import Parser
-from carrl.errors import TrackError
-from carrl.printable import printable
+from carrl.errors import TrackError, printable
 
 if TYPE_CHECKING:
     from carrl.sim.drivability import Car
@@ -108,7 +107,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 def _show(arguments: argparse.Namespace) -> int:
     from carrl.render import picture_format
-    from carrl.render.track_map import draw_track_map
+    from carrl.render.lap import draw_track_map
     from carrl.tracks.track import Track
 
     track = Track.load(arguments.track)

@@ -14,18 +14,22 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from carrl.env.gym_actions import action_space, many_actions
-from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode, observation_space
-from carrl.errors import ConfigError
+from carrl.env.gym_env import (
+    RENDER_MODES,
+    action_space,
+    check_options,
+    check_render_mode,
+    many_actions,
+    observation_space,
+)
+from carrl.errors import ConfigError, seed_list, seed_number
 from carrl.sim.vehicle import Vehicle
-from carrl.task.checks import seed_list, seed_number
 from carrl.task.random_streams import CarStreams
 from carrl.task.task import EpisodeStart, StepResult, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.live import FleetPicture
-    from carrl.render.window import Window
+    from carrl.render.live import FleetPicture, Window
 
 Bools = NDArray[np.bool_]
 Step = tuple[np.ndarray, np.ndarray, Bools, Bools, dict[str, Any]]
@@ -162,7 +166,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
             return (picture,)
-        from carrl.render.window import Window
+        from carrl.render.live import Window
 
         self._window = self._window or Window((picture.shape[1], picture.shape[0]), "CarRL")
         self._window.show(picture, self.metadata["render_fps"])

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from carrl.log.scene import TrackShape
 from carrl.render.canvas import Canvas, Floats, Stroke, View, closed, segments
 from carrl.render.colours import DARK, LIGHT, PAPER, Theme
+from carrl.render.curves import round_number
 from carrl.render.episode import connected_walls
-from carrl.render.ticks import round_number
 
 if TYPE_CHECKING:
     from carrl.tracks.track import Track

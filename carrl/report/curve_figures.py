@@ -21,8 +21,16 @@ from carrl.render.colours import BLACK, BLUE, FAINT, GREEN, INK, ORANGE, PURPLE,
 from carrl.render.figure import new_figure, plain_axes, save_figure
 from carrl.report.findings import values_of
 from carrl.report.groups import Group
-from carrl.report.measures import FINAL_RETURN, FIRST_LAP_FRAMES, LAP_REWARD, Measure
-from carrl.report.statistics import Band, Floats, iqm_band, share_band
+from carrl.report.measures import (
+    FINAL_RETURN,
+    FIRST_LAP_FRAMES,
+    LAP_REWARD,
+    Band,
+    Floats,
+    Measure,
+    iqm_band,
+    share_band,
+)
 
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 LINES: tuple[tuple[float, tuple[float, ...]], ...] = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (5, 2, 1.5, 2)))

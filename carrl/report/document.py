@@ -11,9 +11,8 @@ from carrl.evaluation.results import Rollout
 from carrl.files import write_whole
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped
 from carrl.report.groups import Group
-from carrl.report.measures import MEASURES
+from carrl.report.measures import CONFIDENCE, MEASURES, RESAMPLES, SEED, Estimate
 from carrl.report.runs import RunResult
-from carrl.report.statistics import CONFIDENCE, RESAMPLES, SEED, Estimate
 from carrl.report.text import Picture, comma_separated, report_text
 
 RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")

@@ -7,14 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from carrl.config import check_targets
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, printable
 from carrl.evaluation.best_lap import find_best_lap
 from carrl.evaluation.results import Rollout
-from carrl.printable import printable
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped, written_p
-from carrl.report.measures import MEASURES, Measure
+from carrl.report.measures import CONFIDENCE, MEASURES, RESAMPLES, Estimate, Measure
 from carrl.report.runs import RunResult, missing_lap
-from carrl.report.statistics import CONFIDENCE, RESAMPLES, Estimate
 from carrl.task.task import World
 from carrl.train.build import build_world
 

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from carrl.sim.collision_geometry import CollisionGeometry
-from carrl.sim.machine_code import as_array, compiled, inlined
-from carrl.sim.vehicle import VehicleModel
+from carrl.sim.vehicle import VehicleModel, as_array, compiled, inlined
 
 # Written out, since Numba's cache sees only changes to this file.
 _TINY = np.finfo(np.float64).tiny

@@ -9,8 +9,7 @@ from functools import cached_property
 from torch import Tensor
 
 from carrl.errors import ConfigError
-from carrl.rows import Rows
-from carrl.sim.simulator import CarState, Outcome, Simulator
+from carrl.sim.simulator import CarState, Outcome, Rows, Simulator
 from carrl.task.action import ActionMap
 from carrl.task.random_streams import RandomStreams
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from carrl.errors import flag, number
 from carrl.sim.simulator import CarState, Simulator
-from carrl.task.checks import flag, number
 from carrl.task.random_streams import RandomStreams
 from carrl.tracks.track import Track
 

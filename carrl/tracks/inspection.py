@@ -11,9 +11,8 @@ import numpy as np
 import shapely
 from torch import Tensor
 
-from carrl.tracks.bridges import Bridge, on_two_decks
+from carrl.tracks.bridges import Bridge, count_folds, find_crossings, on_two_decks
 from carrl.tracks.centreline import gap_of, normals, segment_normals, turns
-from carrl.tracks.crossings import count_folds, find_crossings
 
 BODY_RADIUS = 0.5
 """Of the car that must fit through, m; that of the default vehicle."""

@@ -16,11 +16,9 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
-from carrl.tracks.bridges import Bridge, check_road, find_bridges
+from carrl.tracks.bridges import Bridge, check_road, cut_folds, find_bridges
 from carrl.tracks.centreline import Centreline, Road, gap_of
-from carrl.tracks.crossings import cut_folds
-from carrl.tracks.drawing import DRAWINGS
-from carrl.tracks.drawing_file import MIN_GATE_SPACING
+from carrl.tracks.drawing_file import DRAWINGS, MIN_GATE_SPACING
 from carrl.tracks.formats import read_road
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines

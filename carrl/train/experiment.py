@@ -19,13 +19,11 @@ from carrl.task.task import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
 from carrl.train.build import Pipeline, build_pipeline, logs_of
-from carrl.train.callbacks import Callback
+from carrl.train.callbacks import Callback, describe_run, log_schema
 from carrl.train.checkpoint import StateFile
-from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
+from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, Inputs, check_inputs, checksums, write_text
 from carrl.train.folder import RunFolder, check_tables
-from carrl.train.inputs import Inputs, check_inputs, checksums
 from carrl.train.new_folder import LOCK, check_holds_no_run, locked
-from carrl.train.provenance import describe_run, log_schema
 from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
 from carrl.train.trainer import Trainer

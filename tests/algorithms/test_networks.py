@@ -14,7 +14,7 @@ from carrl.algorithms.common.network import (
     make_noisy_network,
     make_q_network,
 )
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.optimizer import make_hard_update
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import make_dqn_loss, make_dueling_loss
 from carrl.algorithms.dqn.policy import GreedyPolicy

@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from carrl.algorithms.common import native, package_cache
-from carrl.algorithms.common.native import CompilationError, compile_native
-from carrl.algorithms.common.package_cache import (
+from carrl.algorithms.common.native import (
     CacheError,
+    CompilationError,
     cache_dir,
+    compile_native,
     find_package,
     keep_package,
     open_cache,

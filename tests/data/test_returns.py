@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import MultiStep
 
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.optimizer import make_hard_update
 from carrl.algorithms.dqn.loss import make_dqn_loss
 from carrl.data.returns import NStepReturns
 from carrl.errors import ConfigError

@@ -11,10 +11,10 @@ import torch
 
 import carrl
 from carrl.cli.main import main
-from carrl.data.episodes import EpisodeTracker
+from carrl.data.source import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Column, Log, read_trace
-from carrl.log.messages import Episode
+from carrl.log.log_file import Episode
 from carrl.log.scene import ObservationPart, Scene, TrackShape
 from carrl.log.trace import read_scene
 from carrl.log.writer import LogWriter
@@ -22,7 +22,7 @@ from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ContinuousActions
 from carrl.task.reward import Collision, Gate, Reward
 from carrl.task.start import Start
-from carrl.train.provenance import describe_run, log_schema, scene_of
+from carrl.train.callbacks import describe_run, log_schema, scene_of
 from tests.logs import dqn_columns, make_schema
 
 ROUNDS = 60

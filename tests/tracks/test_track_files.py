@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from carrl.errors import TrackError
-from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 

@@ -7,8 +7,7 @@ from importlib.metadata import version
 import pytest
 
 import carrl
-from carrl.train import provenance
-from carrl.train.provenance import describe_run, git_commit
+from carrl.train.callbacks import describe_run, git_commit
 
 
 def test_the_entries_name_seed_track_and_packages():

@@ -12,9 +12,9 @@ from carrl.errors import CarrlError, ConfigError
 from carrl.log import load
 from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
+from carrl.train.callbacks import log_schema
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
-from carrl.train.provenance import log_schema
 from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.train.rounds import AfterRounds

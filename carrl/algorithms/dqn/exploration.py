@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule
 
 from carrl.errors import ConfigError
-from carrl.generators import restore, states_of
+from carrl.task.random_streams import restore, states_of
 
 
 class EpsilonGreedy(EGreedyModule):

@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from carrl.algorithms.algorithm import CollectPolicy
+from carrl.algorithms.common.compiled_update import stack_in_place
 from carrl.algorithms.common.network import Power, QNetwork
-from carrl.algorithms.common.stack import stack_in_place
 from carrl.algorithms.dqn.exploration import EpsilonGreedy
 
 

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
-from carrl.printable import printable
+from carrl.errors import printable
 from carrl.report.runs import missing_lap
 from carrl.train.callbacks import Callback
 from carrl.train.experiment import road_warning
