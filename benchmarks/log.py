@@ -22,9 +22,9 @@ from carrl.data.source import EpisodeTracker
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.rollout import rule_policy
 from carrl.log import load
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.log.writer import LogWriter
-from carrl.task.start import Start
+from carrl.task.episode import Start
 from carrl.train.callbacks import log_schema
 
 SCHEMA = log_schema(TrackEnv(), dqn_columns(("forward", "left", "right")))

@@ -26,7 +26,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "action": ("carrl.task.action.DiscreteActions",),
     "observation": ("carrl.task.observation.Rays", "carrl.task.observation.LastAction"),
     "reward": tuple(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
-    "start": ("carrl.task.start.Start",),
+    "start": ("carrl.task.episode.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
     "algorithm": ("carrl.algorithms.dqn.dqn.DQNRecipe",),
     "network": (
@@ -36,9 +36,9 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.common.network.make_distributional_network",
     ),
     "exploration": (
-        "carrl.algorithms.dqn.exploration.ExponentialEpsilonGreedy",
-        "carrl.algorithms.dqn.exploration.LinearEpsilonGreedy",
-        "carrl.algorithms.dqn.exploration.ConstantEpsilonGreedy",
+        "carrl.algorithms.dqn.policy.ExponentialEpsilonGreedy",
+        "carrl.algorithms.dqn.policy.LinearEpsilonGreedy",
+        "carrl.algorithms.dqn.policy.ConstantEpsilonGreedy",
     ),
     "loss": (
         "carrl.algorithms.dqn.loss.make_dqn_loss",
@@ -47,7 +47,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.dqn.loss.make_dueling_loss",
         "carrl.algorithms.dqn.loss.make_distributional_loss",
     ),
-    "returns": ("carrl.data.returns.NStepReturns",),
+    "returns": ("carrl.data.replay_buffer.NStepReturns",),
     "gradient_clipping": ("carrl.algorithms.common.optimizer.make_gradient_clipping",),
     "learning_rate": (
         "carrl.algorithms.common.optimizer.LinearDecay",

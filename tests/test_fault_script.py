@@ -20,7 +20,7 @@ from benchmarks.log_faults.sample import Piece, read_sample
 from benchmarks.log_faults.training import Note
 from carrl.log import read_columns, recover
 from carrl.log.codec import tensordict_of
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import TRANSITIONS
 from carrl.log.writer import LogWriter
 from tests.logs import make_schema

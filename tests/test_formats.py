@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from carrl.errors import TrackError
-from carrl.files import parse_yaml
 from carrl.log import read_columns, read_episodes, read_metrics
 from carrl.log.codec import tensordict_of
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter
+from carrl.plain_yaml import parse_yaml
 from carrl.tracks.centreline import Centreline
 from carrl.tracks.csv_file import read_csv, write_csv
 from tests.logs import make_schema

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from carrl.files import MOST_DEPTH, MOST_EXPANDED, parse_yaml
+from carrl.plain_yaml import MOST_DEPTH, MOST_EXPANDED, parse_yaml
 
 DOUBLED = "\n".join(
     ["a0: &a0 [1, 1]", *(f"a{level}: &a{level} [*a{level - 1}, *a{level - 1}]" for level in range(1, 23))]

@@ -16,7 +16,8 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Log, read_trace, recover, summarise, verify
 from carrl.log.codec import Batch, Columns, encode_small
-from carrl.log.log_file import Episode, Metrics, begin_log, chunk_beginning, describe, with_checksum
+from carrl.log.log_file import begin_log, chunk_beginning, describe, with_checksum
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS, Schema
 from carrl.train.callbacks import describe_run, log_schema
 

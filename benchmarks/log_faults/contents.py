@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from carrl.log.codec import Columns, encode_small
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
 from carrl.log.schema import EPISODES, METRICS
 

@@ -1,6 +1,6 @@
-"""Logs of earlier runs as what there is to learn from.
+"""Logs of earlier runs as what there is to learn from, and as one of TorchRL's offline data sets.
 
-Shapes: `T` transitions, `A` agents, which all learn from the same ones.
+Shapes: `T` transitions, `A` replicates, which all learn from the same ones; `E` episodes, `L` steps of the longest.
 """
 
 import hashlib

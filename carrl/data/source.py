@@ -1,6 +1,9 @@
 """Where the transitions that a run learns from come from: the simulator, in one process or many, or logs.
 
-Shapes: `A` replicates, `N` cars of each, `T` steps of each car in a batch, `F` = N * T transitions of each replicate.
+Episodes are accounted for as transitions stream by.
+
+Shapes: `A` replicates, `N` cars of each, `B` = A * N cars in all, `T` steps of each car in a batch,
+`F` = N * T transitions of each replicate.
 """
 
 from abc import ABC, abstractmethod
@@ -13,10 +16,9 @@ from tensordict import TensorDictBase
 from torchrl.data import TensorDictReplayBuffer
 
 from carrl.data.collector import Collector
-from carrl.data.replay_buffer import KEYS, contents_of, restore_contents
-from carrl.data.returns import NStepReturns
+from carrl.data.replay_buffer import KEYS, NStepReturns, contents_of, restore_contents
 from carrl.env.track_env import TrackEnv
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 
 _KEYS = ("reward", "done", "terminated", "gates_passed", "step", "track")
 

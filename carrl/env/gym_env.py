@@ -14,9 +14,10 @@ import torch
 from gymnasium.error import InvalidAction
 from torch import Tensor
 
-from carrl.errors import ConfigError, seed_number, shown
+from carrl.errors import ConfigError, shown
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import ActionMap, in_words
+from carrl.task.checks import seed_number
 from carrl.task.task import UNLIMITED, EpisodeStart, Task, Tracks, make_task
 from carrl.tracks.track import Track
 

@@ -22,8 +22,9 @@ from carrl.env.gym_env import (
     many_actions,
     observation_space,
 )
-from carrl.errors import ConfigError, seed_list, seed_number
+from carrl.errors import ConfigError
 from carrl.sim.vehicle import Vehicle
+from carrl.task.checks import seed_list, seed_number
 from carrl.task.random_streams import CarStreams
 from carrl.task.task import EpisodeStart, StepResult, Task, Tracks, make_task
 from carrl.tracks.track import Track

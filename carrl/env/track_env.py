@@ -11,15 +11,15 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from carrl.errors import ConfigError, seed_list, seed_number, shown
+from carrl.errors import ConfigError, shown
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.vehicle import POSE, VehicleModel
 from carrl.task.action import ActionMap, in_words
-from carrl.task.episode import EpisodeState
+from carrl.task.checks import seed_list, seed_number
+from carrl.task.episode import EpisodeState, Start
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
-from carrl.task.start import Start
 from carrl.task.task import EpisodeStart, StepResult, Tracks, make_task
 from carrl.tracks.track import Track
 

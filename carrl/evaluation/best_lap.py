@@ -12,7 +12,8 @@ from torch import Tensor
 from carrl.errors import ConfigError, TrackError
 from carrl.evaluation.results import Rollout
 from carrl.evaluation.rollout import TIME_LIMIT_LAPS, rollout_laps
-from carrl.sim.simulator import CarState, Rows, Simulator
+from carrl.rows import Rows
+from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import DiscreteActions
 from carrl.task.task import World
 

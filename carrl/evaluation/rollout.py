@@ -13,7 +13,8 @@ from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
 from carrl.evaluation.results import Rollout
-from carrl.sim.simulator import CarState, Rows, Simulator
+from carrl.rows import Rows
+from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import ActionMap, steer3
 from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carrl.log.codec import Selection, tensordict_of
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
 from carrl.log.recovery import Recovery, recover
 from carrl.log.schema import EPISODES, Column, Schema

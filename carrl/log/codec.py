@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from google.protobuf.message import DecodeError
 
-from carrl.log.log_file import Ended, Episode, Metrics
+from carrl.log.messages import Ended, Episode, Metrics
 from carrl.log.schema import EPISODES, METRICS, SMALL_MESSAGES, Column, Schema, small_message_class
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, McapRecord, Message
@@ -21,6 +20,7 @@ from carrl.log import version2
 from carrl.log.codec import Batch, decode_small, encode_small
 from carrl.log.mcap_records import HEAD, McapIndex, length_at, message_of, parse, records_in
 from carrl.log.mcap_write import McapFile, serialise
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import (
     CHANNELS,
     COLUMNS_ENTRY,
@@ -33,63 +33,6 @@ from carrl.log.schema import (
     Schema,
     schema_bytes,
 )
-
-Ended = Literal["collision", "time limit"]
-
-
-class Episode(NamedTuple):
-    """One episode that has ended.
-
-    Attributes:
-        episode: its number in the run, from 0, in the order in which episodes began.
-        env: which car of the run drove it.
-        track: index of the track it was driven on, among the attached ones.
-        frame: env steps of the whole run when it ended.
-        begin_ns: simulated time at which it began, since the start of the run, ns.
-        end_ns: simulated time at which it ended, ns.
-        episode_return: undiscounted sum of its rewards.
-        length: its steps.
-        gates: gates passed.
-        laps: complete laps, each of all gates.
-        ended: why, "collision" or "time limit".
-        end_pose: where: x m, y m, heading rad.
-    """
-
-    episode: int
-    env: int
-    track: int
-    frame: int
-    begin_ns: int
-    end_ns: int
-    episode_return: float
-    length: int
-    gates: int
-    laps: int
-    ended: Ended
-    end_pose: tuple[float, float, float]
-
-
-class Metrics(NamedTuple):
-    """How learning goes, every half second or so.
-
-    Attributes:
-        frame: env steps of the run.
-        updates: of the network.
-        loss: before the last update; nan if there was none.
-        td_error: mean absolute TD error of the transitions logged just before.
-        action_value: mean Q-value of the actions chosen in them.
-        epsilon: probability of a random action in the next step.
-        frames_per_second: env steps per second of wall time since the last such message.
-    """
-
-    frame: int
-    updates: int
-    loss: float
-    td_error: float
-    action_value: float
-    epsilon: float
-    frames_per_second: float
-
 
 TIME_BASE = (
     "simulated nanoseconds since the start of the run; a batch's log_time is that of its last transition, "

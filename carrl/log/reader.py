@@ -20,8 +20,9 @@ from mcap.records import ChunkIndex, Message
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import version2
 from carrl.log.codec import EVERYTHING, Batch, Columns, Selection, decode_small, episode_span
-from carrl.log.log_file import ATTACHMENT, Episode, Metrics, content_checksum, is_intact
+from carrl.log.log_file import ATTACHMENT, content_checksum, is_intact
 from carrl.log.mcap_read import IndexedFile, damaged
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import (
     COLUMNS_ENTRY,
     EPISODES,

@@ -19,7 +19,7 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 
 FORMAT_VERSION = 3
 TRANSITIONS, EPISODES, METRICS = "/transitions", "/episodes", "/metrics"

@@ -18,8 +18,9 @@ from mcap.records import Message
 
 from carrl.errors import LogError
 from carrl.log.codec import Batch, Columns, columns_of, encode_small, pieces
-from carrl.log.log_file import Episode, Metrics, begin_log, chunk_beginning, describe, part_path
+from carrl.log.log_file import begin_log, chunk_beginning, describe, part_path
 from carrl.log.mcap_write import McapFile, Position
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS, Schema
 
 if TYPE_CHECKING:

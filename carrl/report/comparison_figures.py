@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from carrl.render.colours import FAINT, INK, VERMILLION
-from carrl.render.figure import new_figure, plain_axes, save_figure
+from carrl.render.curves import new_figure, plain_axes, save_figure
 from carrl.report.curve_figures import Look, looks, wrapped
 from carrl.report.findings import Comparison, Findings, GroupFigure
 from carrl.report.groups import Group

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from carrl.render.colours import BLACK, BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
-from carrl.render.figure import new_figure, plain_axes, save_figure
+from carrl.render.curves import new_figure, plain_axes, save_figure
 from carrl.report.findings import values_of
 from carrl.report.groups import Group
 from carrl.report.measures import (

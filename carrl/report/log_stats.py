@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import LogError
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.log.scene import Floats, Scene, TrackShape
 
 NO_EPISODE = "no episode has ended in this log, so there is nothing to say of returns, lengths, laps and crashes"

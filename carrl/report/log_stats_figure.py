@@ -15,8 +15,18 @@ from carrl.errors import CarrlError
 from carrl.log.scene import TrackShape
 from carrl.render.canvas import Canvas, View
 from carrl.render.colours import BLUE, FAINT, INK, LIGHT, VERMILLION, YELLOW
-from carrl.render.curves import RunCurve, common_bounds, draw_panel, legend_of, round_number, span
-from carrl.render.figure import add_drawing, new_figure, plain_axes, save_figure
+from carrl.render.curves import (
+    RunCurve,
+    add_drawing,
+    common_bounds,
+    draw_panel,
+    legend_of,
+    new_figure,
+    plain_axes,
+    round_number,
+    save_figure,
+    span,
+)
 from carrl.render.scene import PRINT, Ground, draw_ground, number_gates
 from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct
 

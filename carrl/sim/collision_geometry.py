@@ -4,7 +4,13 @@ A car sees the walls of one *deck* of its track. A track without a bridge has on
 that goes over see all but the walls of the road below it, and all other cars see all but the walls of the road above.
 Which deck a car is on follows from the gate that it heads for.
 
-Shapes: `T` tracks, `K` decks of all tracks, `S` walls, `G` gates, `C` cells, `L` lists, `E` entries, `B` cars. Lengths
+Which walls are near a place is told by a grid of square cells, each with the list of the walls that come within reach
+of any point of it: whoever looks no further than that misses nothing. Cells are a quarter of the reach wide, so that
+memory grows with the number of walls and not with the reach; they are wider on a track so large that there would be
+more than `MOST_CELLS`.
+
+Shapes: `T` tracks, `K` decks of all tracks, `S` walls, `G` gates, `C` cells, `L` lists, `E` entries of all
+lists, `P` pairs of a wall and a cell, `B` cars. Lengths
 are in metres.
 """
 

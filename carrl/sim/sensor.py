@@ -12,7 +12,7 @@ from torch import Tensor
 
 from carrl.config import is_whole_number
 from carrl.errors import ConfigError
-from carrl.sim.simulator import scalar
+from carrl.rows import scalar
 
 MOST_RAYS = 4096
 """Far more than any scanner has; a batch of so many readings still fits into memory."""

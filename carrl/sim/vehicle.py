@@ -4,6 +4,10 @@ A model states its motion twice: `step` in torch, for any device and as the defi
 for the CPU as machine code. The simulator reads the first three entries of the state, where the car is; all else is
 the model's own business.
 
+Numba compiles a kernel when it is first called, in a few seconds, and keeps the code in `__pycache__` beside its file
+or, where that cannot be written, in the user's cache folder; NUMBA_CACHE_DIR names another one. The cache sees only
+changes to a function's own file, so what a compiled function takes from elsewhere must be among its arguments.
+
 Shapes: `N` cars, `S` entries of the state, `C` controls. Lengths are in metres, angles in radians counter-clockwise
 from +x.
 """

@@ -1,8 +1,8 @@
-"""Random numbers for cars that belong to several agents, each drawn from its agent's own generator.
+"""Random generators, one for each part of each replicate; cars draw from their own replicate's.
 
-So each agent's cars fare as they would alone, whatever the others do.
+So each replicate's cars fare as they would alone, whatever the others do.
 
-Shapes: `N` cars, agent by agent.
+Shapes: `N` cars, replicate by replicate.
 """
 
 from collections.abc import Callable, Sequence

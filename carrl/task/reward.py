@@ -14,8 +14,9 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from carrl.errors import ConfigError, number
-from carrl.sim.simulator import scalar
+from carrl.errors import ConfigError
+from carrl.rows import scalar
+from carrl.task.checks import number
 from carrl.task.episode import StepContext
 
 _MOST = sys.float_info.max

@@ -13,16 +13,17 @@ import torch
 from torch import Tensor
 from torchrl.data import Categorical
 
-from carrl.errors import ConfigError, instance, shown, whole_number
+from carrl.errors import ConfigError, shown
+from carrl.rows import Rows, scalar
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import CarState, Outcome, Rows, Simulator, scalar
+from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.vehicle import Vehicle, VehicleModel
 from carrl.task.action import ActionMap, check_fits, steer3
-from carrl.task.episode import EpisodeState, ObservationContext, StepContext
+from carrl.task.checks import instance, whole_number
+from carrl.task.episode import EpisodeState, ObservationContext, Start, StartSampler, StepContext
 from carrl.task.observation import Observation, Part, rays_only
 from carrl.task.random_streams import RandomStreams
 from carrl.task.reward import Reward, paper_reward
-from carrl.task.start import Start, StartSampler
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 

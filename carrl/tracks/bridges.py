@@ -1,4 +1,10 @@
-"""Finds the places where the road crosses itself and tells apart the two stretches of road that meet there.
+"""Where lines of the road cross: bridges, where the road crosses itself, and folds, where a wall crosses itself.
+
+Lines are looked at a block at a time, so that a track drawn to have billions of crossings costs little.
+
+In a bend tighter than the road's half width the points of the inner wall, which stand beside those of the centreline,
+run backwards for a while, and the wall crosses itself before and after: a fold. What lies between is on no edge of the
+road, and is cut.
 
 Shapes: `P` points, `K` pairs. A *station* is a distance along the centreline from the start line, m.
 """

@@ -1,6 +1,8 @@
-"""YAML files of a track drawn by hand; docs/tracks.md describes them.
+"""Tracks drawn by hand, as rounded polygons or smooth curves: those that come with CarRL, and YAML files of others.
 
-Shapes: `N` corners or points in the file, `P` points of the centreline.
+docs/tracks.md describes the files.
+
+Shapes: `N` corners or points that a person gave, `P` points of the centreline.
 """
 
 from dataclasses import dataclass
@@ -13,7 +15,8 @@ from shapely import LinearRing, Point, Polygon
 from shapely.geometry.polygon import orient
 
 from carrl.errors import TrackError, shown
-from carrl.files import parse_yaml, read_whole
+from carrl.files import read_whole
+from carrl.plain_yaml import parse_yaml
 from carrl.tracks.centreline import (
     MAX_COORDINATE,
     MIN_POINTS,

@@ -17,12 +17,11 @@ from torch import Tensor
 
 from carrl.errors import TrackError
 from carrl.tracks.bridges import Bridge, check_road, cut_folds, find_bridges
-from carrl.tracks.centreline import Centreline, Road, gap_of
+from carrl.tracks.centreline import Centreline, Road, Routes, gap_of
 from carrl.tracks.drawing_file import DRAWINGS, MIN_GATE_SPACING
 from carrl.tracks.formats import read_road
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
-from carrl.tracks.routes import Routes
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""

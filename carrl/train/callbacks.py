@@ -1,4 +1,4 @@
-"""What a trainer does beside training: record transitions, measure logged ones, evaluate.
+"""What a trainer does beside training (record, measure, evaluate), and what a log says of its run.
 
 Shapes: `A` replicates, `F` transitions of each.
 """
@@ -20,7 +20,7 @@ from carrl.data.source import Round
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.results import EvaluationResult, Rollout
 from carrl.evaluation.rollout import rollout
-from carrl.log.log_file import Metrics
+from carrl.log.messages import Metrics
 from carrl.log.scene import ObservationPart, Scene
 from carrl.log.schema import Column, Schema
 from carrl.sim.simulator import Simulator

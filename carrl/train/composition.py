@@ -18,7 +18,7 @@ from yaml import YAMLError
 
 from carrl.config import TARGETS, config_dir, make_importable
 from carrl.errors import CLOSE, ConfigError, did_you_mean, shown
-from carrl.files import parse_yaml
+from carrl.plain_yaml import parse_yaml
 
 PLAIN_KEYS = {
     "seed": "of everything random in the run: network, exploration, environment, replay sampling",

@@ -1,4 +1,4 @@
-"""What lies where in a run's folder, and its small files read and written; nothing here waits for torch.
+"""What lies where in a run's folder, its small files, and checksums of its inputs; nothing here waits for torch.
 
 .hydra/config.yaml    the resolved configuration
 train.mcap            every transition
@@ -13,13 +13,16 @@ import hashlib
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from carrl.config import check_targets
 from carrl.errors import CheckpointError, ConfigError, LogError
-from carrl.files import parse_yaml, read_whole, write_whole
-from carrl.tracks.circuits import Circuits
-from carrl.tracks.track import Track
+from carrl.files import read_whole, write_whole
+from carrl.plain_yaml import parse_yaml
+
+if TYPE_CHECKING:
+    from carrl.tracks.circuits import Circuits
+    from carrl.tracks.track import Track
 
 CONFIG = Path(".hydra/config.yaml")
 LOG = "train.mcap"
@@ -127,7 +130,7 @@ Inputs = Mapping[str, str]
 """A checksum for each track and log by its name, such as "track 'oval.csv'"."""
 
 
-def checksums(circuits: Circuits, logs: Iterable[Path] = ()) -> dict[str, str]:
+def checksums(circuits: "Circuits", logs: Iterable[Path] = ()) -> dict[str, str]:
     """The checksums of the tracks as they are driven, and of the logs' bytes.
 
     Raises:
@@ -159,7 +162,7 @@ def _describe(name: str, before: Inputs, now: Inputs) -> str:
     return f"{name} {'is new' if name not in before else 'is missing' if name not in now else 'was changed'}"
 
 
-def _of_track(track: Track) -> str:
+def _of_track(track: "Track") -> str:
     digest = hashlib.sha256(f"{track.gate_count} {track.bridges}".encode())
     for part in (track.centreline, track.left_wall, track.right_wall):
         digest.update(part.contiguous().numpy().tobytes())

@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 
 from carrl.errors import CarrlError, CheckpointError
 from carrl.files import open_itself, remove_left_overs, write_whole
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter
 from carrl.train.checkpoint import save_checkpoint
 from carrl.train.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, checkpoint_path, write_text

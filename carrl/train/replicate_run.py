@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 from torch import nn
 
 from carrl.evaluation.results import EvaluationResult
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.train.checkpoint import check_fits
 from carrl.train.folder import RunFolder
 

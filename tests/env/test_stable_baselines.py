@@ -9,7 +9,7 @@ import torch
 
 import carrl
 from carrl.errors import ConfigError
-from carrl.task.start import Start
+from carrl.task.episode import Start
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'carrl[sb3]'")
 

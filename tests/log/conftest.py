@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter
 from tests.logs import make_schema
 

@@ -23,9 +23,9 @@ from carrl.log import (
     recover,
     verify,
 )
-from carrl.log.log_file import Episode, Metrics
 from carrl.log.mcap_read import IndexedFile
 from carrl.log.mcap_write import serialise
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 from carrl.log.writer import LogWriter
 from tests.log.rewriting import BACKWARDS, NOTHING_TOLD, VARIANTS, rewrite

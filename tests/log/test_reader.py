@@ -25,9 +25,10 @@ from carrl.log import (
     read_summary,
 )
 from carrl.log.codec import Batch
-from carrl.log.log_file import Episode, Metrics, describe, with_checksum
+from carrl.log.log_file import describe, with_checksum
 from carrl.log.mcap_records import unpack
 from carrl.log.mcap_write import McapFile
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import MESSAGE_NAMES, METADATA_NAME, TRANSITIONS, schema_bytes
 from carrl.log.writer import LogWriter
 from tests.logs import make_schema

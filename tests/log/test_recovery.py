@@ -20,8 +20,9 @@ from benchmarks.log_faults.sample import read_sample
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Recovery, read_columns, recover, verify
 from carrl.log.codec import Batch, encode_small
-from carrl.log.log_file import Episode, Metrics, begin_log, describe
+from carrl.log.log_file import begin_log, describe
 from carrl.log.mcap_write import McapFile
+from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 from carrl.log.writer import LogWriter
 from tests.logs import make_schema

@@ -14,14 +14,14 @@ from carrl.cli.main import main
 from carrl.data.source import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Column, Log, read_trace
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.log.scene import ObservationPart, Scene, TrackShape
 from carrl.log.trace import read_scene
 from carrl.log.writer import LogWriter
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ContinuousActions
+from carrl.task.episode import Start
 from carrl.task.reward import Collision, Gate, Reward
-from carrl.task.start import Start
 from carrl.train.callbacks import describe_run, log_schema, scene_of
 from tests.logs import dqn_columns, make_schema
 

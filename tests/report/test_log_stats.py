@@ -14,7 +14,7 @@ from rich.console import Console
 
 from carrl.cli.text.log_stats_text import print_log_stats
 from carrl.errors import CarrlError, LogError
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.render.colours import BLACK, BLUE, VERMILLION, YELLOW
 from carrl.render.terminal import histogram
 from carrl.report.log_stats import LogStats, crowding, section_name, sections_at, stations_near

@@ -1,4 +1,11 @@
-"""Compiles a function of tensors to native code once for this machine, and keeps the result between processes."""
+"""Compiles a function of tensors to native code once for this machine, and keeps the result between processes.
+
+It is kept in a folder that only its user can write to, checked and bounded:
+
+    FINGERPRINT.SHA256.pt2    a package, named after what was compiled and after its own bytes
+    work-XXXXXXXX/            all that the compiler and the loader write while they are at work, and nowhere else
+    work-XXXXXXXX.lock        locked by the process that works there, so that the left-overs of killed ones are known
+"""
 
 import fcntl
 import hashlib

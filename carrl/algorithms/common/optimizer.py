@@ -1,4 +1,4 @@
-"""What moves parameters: how large a gradient may be, how the learning rate falls, and Adam as a function of tensors.
+"""What moves parameters: clipped gradients, falling learning rates, Adam as a function, and target networks.
 
 Shapes: a gradient is a list of tensors, one for each parameter of one replicate's network.
 """

@@ -19,9 +19,8 @@ from carrl.algorithms.algorithm import Algorithm, Figures, FunctionalUpdate, Pol
 from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.common.optimizer import Adam, GradientClipping, LearningRateDecay, SoftTargetUpdate, TargetUpdater
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
-from carrl.algorithms.dqn.exploration import EpsilonGreedy
 from carrl.algorithms.dqn.loss import ConservativeDQNLoss
-from carrl.algorithms.dqn.policy import ExploringPolicy, GreedyPolicy
+from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyPolicy
 from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.log.schema import Column

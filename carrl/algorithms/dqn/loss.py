@@ -1,6 +1,6 @@
-"""What the network learns from: TorchRL's DQN loss, its Double DQN variant, and two losses built on it.
+"""What the network learns from: TorchRL's DQN loss, its Double DQN variant, two losses built on it, and C51's.
 
-Shapes: `N` transitions.
+Shapes: `N` transitions, `K` atoms, the returns whose probabilities C51 predicts.
 """
 
 import math

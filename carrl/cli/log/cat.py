@@ -20,7 +20,7 @@ from carrl.cli.log.shared import (
 )
 from carrl.errors import DamagedLogError, LogError, printable
 from carrl.log.codec import EVERYTHING, Selection
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
 from carrl.log.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
 from carrl.log.trace import read_scene

@@ -7,7 +7,7 @@ from typing import Any
 
 from carrl.cli.log.shared import Verbs, add_json, add_verb, aligned, best_first, counted, print_json, whole_number
 from carrl.errors import DamagedLogError, printable
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.trace import read_scene
 

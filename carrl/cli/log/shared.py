@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carrl.errors import CarrlError, LogError, printable
 from carrl.log.codec import Columns, Selection
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.scene import Scene
 from carrl.log.schema import Column, Schema

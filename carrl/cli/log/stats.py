@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carrl.cli.log.shared import Verbs, add_json, add_verb, check_output, print_json, printable_scene
 from carrl.errors import CarrlError, DamagedLogError, LogError
-from carrl.log.log_file import Episode
+from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.scene import Scene
 from carrl.log.trace import action_choices, read_scene, with_choices

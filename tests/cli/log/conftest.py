@@ -10,7 +10,7 @@ import pytest
 
 from carrl.cli.main import main
 from carrl.log.codec import tensordict_of
-from carrl.log.log_file import Episode, Metrics
+from carrl.log.messages import Episode, Metrics
 from carrl.log.scene import ObservationPart, Scene
 from carrl.log.writer import LogWriter
 from tests.logs import make_schema
