@@ -1,4 +1,4 @@
-"""Diagrams, and learning curves, as in the paper's figure 3: single returns faintly, means of blocks of episodes boldly.
+"""Diagrams, and learning curves as in the paper's figure 3: returns faintly, means of blocks of episodes boldly.
 
 Shapes: `E` episodes, numbered from 1, `K` blocks. Returns are undiscounted sums of rewards.
 """
