@@ -137,6 +137,16 @@ def test_a_documented_command_runs(words, workplace, made, capsys):
     assert code == 0, capsys.readouterr().err
 
 
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch):
+    (code,) = re.findall(r"^```python\n(.*?)^```", Path("README.md").read_text(), re.M | re.S)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    short = [f"{key}={value}" for key, value in SHORT.items()]
+    exec(code.replace('loss="double_dqn")', 'loss="double_dqn", overrides=SHORT)'), {"SHORT": short}, names)
+    assert names["action"] in (0, 1, 2)
+    assert len(names["transitions"]) == int(SHORT["trainer.frames"])
+
+
 def test_commands_are_found_in_the_pages():
     assert {"train", "evaluate", "log", "track", "report", "tune"} <= {words.values[0][1] for words in COMMANDS}
 
