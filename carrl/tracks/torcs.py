@@ -1,0 +1,287 @@
+"""Tracks of TORCS and Speed Dreams: XML files of straights and curves in driving order.
+
+Shapes: `P` points of the centreline. Arc length counts from the start line, m.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from carrl.errors import TrackError, shown
+from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, drop_closing_point, without_repeats
+from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
+from carrl.tracks.xml_file import read_xml
+
+UNITS = {
+    **dict.fromkeys(("m", "rad", ""), 1.0),
+    **dict.fromkeys(("feet", "ft"), 0.304801),
+    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
+    **{"km": 1000.0, "cm": 0.01, "mm": 0.001, "deg": math.pi / 180},
+}
+"""Of lengths and angles, in metres and radians, as TORCS has them: its foot is 1 um longer than the real one."""
+SPACING_MAX, SAGITTA = 10.0, 0.003
+"""How far points of the centreline stand apart at the most, and how far a curve is from the line through them, m."""
+MAX_LENGTH = 1e5
+"""Of the road, m; the longest track of TORCS has 22 km."""
+WALLS = ("road", "barriers")
+
+
+def read(path: Path, gate_spacing: float | None = None, walls: str = "road", reverse: bool = False) -> list[Track]:
+    """Reads the one track of a file; its segments' heights and banking are left out, and so are the pits.
+
+    Args:
+        path: of the XML file.
+        gate_spacing: about how far the gates stand apart, m.
+        walls: `road` for walls at the edges of the road, which TORCS's `track` sensors see; `barriers` for those that
+            stop a car there, beyond grass and sand.
+        reverse: whether to drive it the other way.
+
+    Raises:
+        TrackError: the file is no such track, or its road does not come back to its start.
+    """
+    if walls not in WALLS:
+        raise TrackError(f"track '{path.name}': walls is {shown(walls)}; it must be {' or '.join(WALLS)}")
+    road = _Reader(path, read_xml(path)).road(walls == "barriers")
+    to_left = np.stack([-np.sin(road.headings), np.cos(road.headings)], axis=1)
+    left = road.points + to_left * road.left[:, None]
+    right = road.points - to_left * road.right[:, None]
+    track = Track.from_walls(path.name, road.points, left, right, gate_spacing or DEFAULT_GATE_SPACING)
+    return [track.reversed() if reverse else track]
+
+
+class _Road(NamedTuple):
+    """The centreline's points, [P, 2], m, the headings there, [P], rad, and how far the walls are, [P] each, m."""
+
+    points: np.ndarray
+    headings: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A straight or an arc.
+
+    Attributes:
+        length: m.
+        curvature: 1/m, positive to the left.
+        left: how far the left wall is from the centreline where the piece begins and where it ends, m.
+        right: likewise.
+    """
+
+    length: float
+    curvature: float
+    left: tuple[float, float]
+    right: tuple[float, float]
+
+    @property
+    def steps(self) -> int:
+        """Into how many parts of a line it is cut."""
+        step = SPACING_MAX
+        if self.curvature:
+            step = min(step, math.sqrt(8 * SAGITTA / abs(self.curvature)), math.pi / 8 / abs(self.curvature))
+        return max(1, math.ceil(self.length / step))
+
+
+class _Side:
+    """What lies beside the road on one side, from segment to segment: what a segment does not say stays as before."""
+
+    def __init__(self, name: str, main: Element, reader: "_Reader") -> None:
+        self._name, self._reader = name, reader
+        self._end = self._number(main, "Side", "width", 0.0)
+        self._border, self._style = 0.0, "plan"
+        self._read_border(main)
+
+    def widths(self, segment: Element) -> tuple[float, float]:
+        """From the road's edge to the barrier, where the segment begins and where it ends, m."""
+        begin = self._number(segment, "Side", "start width", self._end)
+        self._end = self._number(segment, "Side", "end width", self._number(segment, "Side", "width", begin))
+        self._read_border(segment)
+        if self._style == "wall":
+            return 0.0, 0.0
+        return self._border + begin, self._border + self._end
+
+    def _read_border(self, section: Element) -> None:
+        self._border = self._number(section, "Border", "width", self._border)
+        of_border = self._section(section, "Border")
+        style = None if of_border is None else _attribute(of_border, "attstr", "style")
+        style = style or _attribute(section, "attstr", f"{self._name[0].lower()}border style")
+        self._style = self._style if style is None else style.get("val", "")
+
+    def _number(self, section: Element, part: str, name: str, default: float) -> float:
+        """Of a section of its own, in version 4 of the format, or else of a name such as `lside width`, in version 3.
+
+        In version 3 a segment has no `width` of its side, only widths at its start and end.
+        """
+        of_part = self._section(section, part)
+        if of_part is not None:
+            value = self._reader.number(of_part, name, default)
+        else:
+            value = self._reader.number(section, f"{self._name[0].lower()}{part.lower()} {name}", default)
+        if value < 0:
+            raise self._reader.error(section, f"{name} of {self._name} {part} is {value:g} m; it may not be negative")
+        return value
+
+    def _section(self, section: Element, part: str) -> Element | None:
+        return _section(section, f"{self._name} {part}")
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Takes checked values from a file's sections; every error begins with the file's name."""
+
+    path: Path
+    root: Element
+
+    def road(self, with_sides: bool) -> _Road:
+        """The whole road from its start line on, its walls at its edges or beyond what lies beside it."""
+        pieces = list(self._pieces(with_sides))
+        rows = np.concatenate([part for part in _drawn(pieces)])
+        gap = rows[-1, :2] - rows[0, :2]
+        width = min(min(*piece.left) + min(*piece.right) for piece in pieces)
+        if np.hypot(*gap) > width / 2:
+            raise TrackError(
+                f"track '{self.path.name}': its {len(rows)} points end {np.hypot(*gap):.2f} m from where they begin, "
+                f"after {np.degrees(rows[-1, 2]):.1f} degrees of turning; a circuit must come back to its start"
+            )
+        steps = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1)
+        rows[:, :2] -= np.outer(np.concatenate([[0], steps.cumsum()]) / steps.sum(), gap)
+        rows, _ = without_repeats(drop_closing_point(rows))
+        if len(rows) < MIN_POINTS or np.abs(rows[:, :2]).max() > MAX_COORDINATE:
+            raise TrackError(f"track '{self.path.name}': the road is too small or too large to be drawn")
+        return _Road(rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4])
+
+    def _pieces(self, with_sides: bool) -> Iterator[_Piece]:
+        """The road's straights and arcs in driving order."""
+        main = _section(self.root, "Main Track") if self.root.tag == "params" else None
+        segments = None if main is None else _section(main, "Track Segments", "segments")
+        if main is None or segments is None:
+            raise TrackError(
+                f"track '{self.path.name}': this is no track of TORCS: it has no 'Main Track' with 'Track Segments'"
+            )
+        half = self.number(main, "width", 15.0) / 2
+        if half <= 0:
+            raise self.error(main, f"width is {2 * half:g} m; it must be positive")
+        step_length = self.number(main, "profil steps length", 0.0)
+        sides = _Side("Left", main, self), _Side("Right", main, self)
+        length, points, none = 0.0, 0, (0.0, 0.0)
+        for segment in segments.iterfind("section"):
+            arcs = self._arcs(segment, step_length)
+            left, right = (side.widths(segment) if with_sides else none for side in sides)
+            for index, (arc_length, curvature) in enumerate(arcs):
+                at = np.array([index, index + 1]) / len(arcs)
+                piece = _Piece(
+                    arc_length,
+                    curvature,
+                    tuple((half + left[0] + at * (left[1] - left[0])).tolist()),
+                    tuple((half + right[0] + at * (right[1] - right[0])).tolist()),
+                )
+                length, points = length + piece.length, points + piece.steps
+                if length > MAX_LENGTH or points > MOST_POINTS:
+                    raise self.error(
+                        segment, f"the road is longer than {MAX_LENGTH:.0f} m, or has more than {MOST_POINTS} points"
+                    )
+                yield piece
+        if not points:
+            raise TrackError(f"track '{self.path.name}': there are no segments; the road needs some")
+
+    def _arcs(self, segment: Element, step_length: float) -> list[tuple[float, float]]:
+        """Length, m, and curvature, 1/m, of the arcs of a segment: a few where its radius changes, otherwise one.
+
+        As in TORCS, a curve with an `end radius` is cut into the steps of its height profile. The radius grows evenly
+        from step to step, from the first one's to the last one's, and the steps are made longer or shorter so that the
+        whole turns by `arc`; a single step has the first radius and the length of the mean one.
+        """
+        kind = _text(segment, "type")
+        if kind == "str":
+            return [(self._positive(segment, "lg"), 0.0)]
+        if kind not in ("lft", "rgt"):
+            raise self.error(segment, f"type is {shown(kind)}; it must be str, lft or rgt")
+        sign = 1.0 if kind == "lft" else -1.0
+        radius, arc = self._positive(segment, "radius"), self._positive(segment, "arc")
+        end_radius = self._positive(segment, "end radius", radius)
+        length = (radius + end_radius) / 2 * arc
+        count = 1 if radius == end_radius else self._profile_steps(segment, length, step_length)
+        if count == 1:
+            return [(length, sign / radius)]
+        radii = np.linspace(radius, end_radius, count)
+        step = arc / float((1 / radii).sum())
+        return [(step, sign / each) for each in radii.tolist()]
+
+    def _profile_steps(self, segment: Element, length: float, step_length: float) -> int:
+        if _text(segment, "profil", "spline") != "spline":
+            return 1
+        steps = self.number(segment, "profil steps", 1.0)
+        if int(steps) == 1:
+            step_length = self.number(segment, "profil steps length", step_length)
+            steps = length / step_length + 1 if step_length > 0 else 1.0
+        if not 1 <= steps <= MOST_POINTS:
+            raise self.error(segment, f"its profile has {steps:g} steps; it must have 1 to {MOST_POINTS}")
+        return int(steps)
+
+    def _positive(self, segment: Element, name: str, default: float | None = None) -> float:
+        value = self.number(segment, name, default)
+        if value <= 0:
+            raise self.error(segment, f"{name} is {value:g}; it must be positive")
+        return value
+
+    def number(self, section: Element, name: str, default: float | None = None) -> float:
+        """A number of a section in metres or radians."""
+        found = _attribute(section, "attnum", name)
+        if found is None:
+            if default is None:
+                raise self.error(section, f"{name} is missing")
+            return default
+        text, unit = found.get("val", ""), found.get("unit", "")
+        if unit not in UNITS:
+            raise self.error(section, f"the unit of {name} is {shown(unit)}; it must be one of {', '.join(UNITS)}")
+        try:
+            value = float(text.replace("_", "?")) * UNITS[unit]
+        except ValueError:
+            raise self.error(section, f"{name} is {shown(text)}; it must be a number") from None
+        if not abs(value) <= MAX_LENGTH:  # nan fails it, too
+            raise self.error(section, f"{name} is {shown(text)}; it must be a number of at most {MAX_LENGTH:.0f}")
+        return value
+
+    def error(self, section: Element, what: str) -> TrackError:
+        """What is wrong in a section."""
+        return TrackError(f"track '{self.path.name}': section {shown(section.get('name', ''))}: {what}")
+
+
+def _section(parent: Element, *names: str) -> Element | None:
+    return next((child for child in parent.iterfind("section") if child.get("name") in names), None)
+
+
+def _attribute(section: Element, tag: str, name: str) -> Element | None:
+    """The first attribute of that name, which TORCS takes, too, where there are several."""
+    return next((child for child in section.iterfind(tag) if child.get("name") == name), None)
+
+
+def _text(section: Element, name: str, default: str = "") -> str:
+    found = _attribute(section, "attstr", name)
+    return default if found is None else found.get("val", "")
+
+
+def _drawn(pieces: list[_Piece]) -> Iterator[np.ndarray]:
+    """Rows of x and y, m, heading, rad, and the distances of the left and right wall, m: each piece without its end.
+
+    The last row of all is the end of the road.
+    """
+    x, y, heading = 0.0, 0.0, 0.0
+    for number, piece in enumerate(pieces, start=1):
+        shares = np.linspace(0, 1, piece.steps + 1)
+        headings = heading + shares * piece.length * piece.curvature
+        if piece.curvature:
+            xs = x + (np.sin(headings) - math.sin(heading)) / piece.curvature
+            ys = y - (np.cos(headings) - math.cos(heading)) / piece.curvature
+        else:
+            xs, ys = (at + shares * piece.length * way(heading) for at, way in ((x, math.cos), (y, math.sin)))
+        left, right = (begin + shares * (end - begin) for begin, end in (piece.left, piece.right))
+        rows = np.stack([xs, ys, headings, left, right], axis=1)
+        yield rows if number == len(pieces) else rows[:-1]
+        x, y, heading = float(xs[-1]), float(ys[-1]), float(headings[-1])
