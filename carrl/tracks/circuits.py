@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from carrl.errors import TrackError
+from carrl.tracks import more_formats
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
 from carrl.tracks.track import Track
 
 _logger = logging.getLogger(__name__)
 
-CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
+CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml", *more_formats.ENDINGS)
 """Endings of the files of a folder that are taken for circuits."""
 MOST_CIRCUITS = 512
 """Of a run; each one is attached to the run's log, with about 75 bytes for every metre of its road."""

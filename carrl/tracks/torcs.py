@@ -14,6 +14,7 @@ import numpy as np
 
 from carrl.errors import TrackError, shown
 from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, drop_closing_point, without_repeats
+from carrl.tracks.reference_line import Piece
 from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
 from carrl.tracks.xml_file import read_xml
 
@@ -24,8 +25,6 @@ UNITS = {
     **{"km": 1000.0, "cm": 0.01, "mm": 0.001, "deg": math.pi / 180},
 }
 """Of lengths and angles, in metres and radians, as TORCS has them: its foot is 1 um longer than the real one."""
-SPACING_MAX, SAGITTA = 10.0, 0.003
-"""How far points of the centreline stand apart at the most, and how far a curve is from the line through them, m."""
 MAX_LENGTH = 1e5
 """Of the road, m; the longest track of TORCS has 22 km."""
 WALLS = ("road", "barriers")
@@ -63,14 +62,13 @@ class _Road(NamedTuple):
     right: np.ndarray
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Stretch(NamedTuple):
     """A straight or an arc.
 
     Attributes:
         length: m.
         curvature: 1/m, positive to the left.
-        left: how far the left wall is from the centreline where the piece begins and where it ends, m.
+        left: how far the left wall is from the centreline where it begins and where it ends, m.
         right: likewise.
     """
 
@@ -79,13 +77,9 @@ class _Piece:
     left: tuple[float, float]
     right: tuple[float, float]
 
-    @property
-    def steps(self) -> int:
-        """Into how many parts of a line it is cut."""
-        step = SPACING_MAX
-        if self.curvature:
-            step = min(step, math.sqrt(8 * SAGITTA / abs(self.curvature)), math.pi / 8 / abs(self.curvature))
-        return max(1, math.ceil(self.length / step))
+    def begin_at(self, x: float, y: float, heading: float) -> Piece:
+        """It as a line that begins at a place, m, with a heading, rad."""
+        return Piece(x, y, heading, self.length, (self.curvature, self.curvature))
 
 
 class _Side:
@@ -140,10 +134,10 @@ class _Reader:
 
     def road(self, with_sides: bool) -> _Road:
         """The whole road from its start line on, its walls at its edges or beyond what lies beside it."""
-        pieces = list(self._pieces(with_sides))
-        rows = np.concatenate([part for part in _drawn(pieces)])
+        stretches = list(self._stretches(with_sides))
+        rows = np.concatenate(list(_drawn(stretches)))
         gap = rows[-1, :2] - rows[0, :2]
-        width = min(min(*piece.left) + min(*piece.right) for piece in pieces)
+        width = min(min(each.left) + min(each.right) for each in stretches)
         if np.hypot(*gap) > width / 2:
             raise TrackError(
                 f"track '{self.path.name}': its {len(rows)} points end {np.hypot(*gap):.2f} m from where they begin, "
@@ -156,7 +150,7 @@ class _Reader:
             raise TrackError(f"track '{self.path.name}': the road is too small or too large to be drawn")
         return _Road(rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4])
 
-    def _pieces(self, with_sides: bool) -> Iterator[_Piece]:
+    def _stretches(self, with_sides: bool) -> Iterator[_Stretch]:
         """The road's straights and arcs in driving order."""
         main = _section(self.root, "Main Track") if self.root.tag == "params" else None
         segments = None if main is None else _section(main, "Track Segments", "segments")
@@ -175,18 +169,18 @@ class _Reader:
             left, right = (side.widths(segment) if with_sides else none for side in sides)
             for index, (arc_length, curvature) in enumerate(arcs):
                 at = np.array([index, index + 1]) / len(arcs)
-                piece = _Piece(
+                stretch = _Stretch(
                     arc_length,
                     curvature,
                     tuple((half + left[0] + at * (left[1] - left[0])).tolist()),
                     tuple((half + right[0] + at * (right[1] - right[0])).tolist()),
                 )
-                length, points = length + piece.length, points + piece.steps
+                length, points = length + arc_length, points + stretch.begin_at(0.0, 0.0, 0.0).steps
                 if length > MAX_LENGTH or points > MOST_POINTS:
                     raise self.error(
                         segment, f"the road is longer than {MAX_LENGTH:.0f} m, or has more than {MOST_POINTS} points"
                     )
-                yield piece
+                yield stretch
         if not points:
             raise TrackError(f"track '{self.path.name}': there are no segments; the road needs some")
 
@@ -267,21 +261,15 @@ def _text(section: Element, name: str, default: str = "") -> str:
     return default if found is None else found.get("val", "")
 
 
-def _drawn(pieces: list[_Piece]) -> Iterator[np.ndarray]:
-    """Rows of x and y, m, heading, rad, and the distances of the left and right wall, m: each piece without its end.
+def _drawn(stretches: list[_Stretch]) -> Iterator[np.ndarray]:
+    """Rows of x and y, m, heading, rad, and the distances of the left and right wall, m: each stretch without its end.
 
     The last row of all is the end of the road.
     """
-    x, y, heading = 0.0, 0.0, 0.0
-    for number, piece in enumerate(pieces, start=1):
-        shares = np.linspace(0, 1, piece.steps + 1)
-        headings = heading + shares * piece.length * piece.curvature
-        if piece.curvature:
-            xs = x + (np.sin(headings) - math.sin(heading)) / piece.curvature
-            ys = y - (np.cos(headings) - math.cos(heading)) / piece.curvature
-        else:
-            xs, ys = (at + shares * piece.length * way(heading) for at, way in ((x, math.cos), (y, math.sin)))
-        left, right = (begin + shares * (end - begin) for begin, end in (piece.left, piece.right))
-        rows = np.stack([xs, ys, headings, left, right], axis=1)
-        yield rows if number == len(pieces) else rows[:-1]
-        x, y, heading = float(xs[-1]), float(ys[-1]), float(headings[-1])
+    pose = [0.0, 0.0, 0.0]
+    for number, stretch in enumerate(stretches, start=1):
+        piece = stretch.begin_at(*pose)
+        walls = [begin + piece.shares * (end - begin) for begin, end in (stretch.left, stretch.right)]
+        rows = np.column_stack([piece.poses(), *walls])
+        yield rows if number == len(stretches) else rows[:-1]
+        pose = rows[-1, :3].tolist()

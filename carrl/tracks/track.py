@@ -60,21 +60,30 @@ class Track:
         return f"Track({self.name!r}, {self.length:.1f} m, {self.gate_count} gates)"
 
     @staticmethod
-    def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
+    def load(name_or_path: str | Path, gate_spacing: float | None = None, **options: Any) -> "Track":
         """Loads a built-in track by name, or a file by path.
 
         Args:
             name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
-                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. Any other: CSV with the
-                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
+                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. `.xml`: a track of TORCS;
+                `.geojson`: a line of longitudes and latitudes; `.xodr`: OpenDRIVE. Any other: CSV with the columns
+                `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
             gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
                 drawing has, and else `DEFAULT_GATE_SPACING`.
+            options: of the file's format, such as `width`; None for those that are not given.
 
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
+        from carrl.tracks import more_formats  # Here, since they make tracks.
+
         name = str(name_or_path)
         _check_gate_spacing(name, gate_spacing)
+        given = {key: value for key, value in options.items() if value is not None}
+        reader = None if name in builtin.DRAWINGS else more_formats.reader_of(Path(name_or_path))
+        more_formats.check_options(name, reader, given)
+        if reader is not None:
+            return more_formats.read_one(Path(name_or_path), reader, gate_spacing, given)
         if name in builtin.DRAWINGS:
             drawing = builtin.DRAWINGS[name]
             return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)

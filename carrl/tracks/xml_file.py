@@ -30,7 +30,9 @@ def read_xml(path: Path) -> Element:
                 return _read_as_latin_1(path, content)
         raise _not_xml(path, error) from None
     except (ValueError, LookupError):  # from the codec of a declared encoding, which may be any of Python's
-        raise TrackError(f"track '{path.name}': this XML is in an encoding that is not read; save it as UTF-8") from None
+        raise TrackError(
+            f"track '{path.name}': this XML is in an encoding that is not read; save it as UTF-8"
+        ) from None
 
 
 def _read_as_latin_1(path: Path, content: bytes) -> Element:
@@ -86,3 +88,28 @@ class _Tree:
             raise TrackError(
                 f"track '{self._name}': the entity '{name[:40]}' is declared in the file; write out what it stands for"
             )
+
+
+class _RootFoundError(Exception):
+    """Ends the parser at the first element, whose name is in it."""
+
+
+def root_tag(path: Path) -> str:
+    """The name of the outermost element of an XML file, of which no more is read than its beginning.
+
+    Raises:
+        TrackError: it has none.
+    """
+
+    def stop(tag: str, _attributes: dict[str, str]) -> None:
+        raise _RootFoundError(tag)
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = stop
+    try:
+        parser.Parse(read_content(path), True)
+    except _RootFoundError as found:
+        return str(found)
+    except (expat.ExpatError, ValueError, LookupError):
+        pass
+    return read_xml(path).tag  # for what is wrong with it
