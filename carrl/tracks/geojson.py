@@ -16,7 +16,6 @@ from carrl.tracks.centreline import (
     LONGEST_STEP,
     MAX_COORDINATE,
     MIN_POINTS,
-    MOST_POINTS,
     Centreline,
     without_repeats,
 )
@@ -26,6 +25,8 @@ from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
 
 MAX_JSON_BYTES = 4 * 2**20
 """The 40 circuits of bacinger/f1-circuits have 0.2 MiB."""
+MOST_CIRCUITS, MOST_POSITIONS = 512, 20_000
+"""Of a file, and of each of its lines, of which those with the most have 202."""
 DEFAULT_WIDTH = 12.0
 """Of a road whose file does not have one, m: the least that the FIA's rules ask of a new circuit."""
 LONGEST_PIECE = 30.0
@@ -116,12 +117,15 @@ def _circuits(path: Path) -> list[_Circuit]:
         raise TrackError(
             f"track '{path.name}': this JSON is no GeoJSON: it must be a FeatureCollection, a Feature or a LineString"
         )
-    circuits = []
+    circuits: list[_Circuit] = []
     for number, feature in enumerate(features, start=1):
         geometry, properties = feature["geometry"], feature.get("properties")
         properties = properties if isinstance(properties, dict) else {}
         name = str(next((properties[key] for key in NAMES if isinstance(properties.get(key), str)), number))[:100]
+        name = f"{name}-{number}" if any(name == each.name for each in circuits) else name
         kind = geometry.get("type") if isinstance(geometry, dict) else None
+        if len(circuits) == MOST_CIRCUITS:
+            raise TrackError(f"track '{path.name}': it has more than {MOST_CIRCUITS} circuits; leave out some")
         if kind == "LineString":
             circuits.append(_Circuit(name, properties, _degrees(path, name, geometry.get("coordinates"))))
         elif kind not in ("Point", "MultiPoint"):
@@ -132,8 +136,8 @@ def _circuits(path: Path) -> list[_Circuit]:
 
 
 def _degrees(path: Path, name: str, coordinates: Any) -> np.ndarray:
-    if not isinstance(coordinates, list) or not MIN_POINTS <= len(coordinates) <= MOST_POINTS + 1:
-        raise _error(path, name, f"it must have {MIN_POINTS} to {MOST_POINTS} coordinates, in a list")
+    if not isinstance(coordinates, list) or not MIN_POINTS <= len(coordinates) <= MOST_POSITIONS:
+        raise _error(path, name, f"it must have a list of {MIN_POINTS} to {MOST_POSITIONS} coordinates")
     for number, position in enumerate(coordinates, start=1):
         is_pair = isinstance(position, list) and len(position) >= 2 and all(map(_is_number, position[:2]))
         if not is_pair or not (abs(position[0]) <= 180 and abs(position[1]) <= 90):  # nan fails it, too

@@ -23,6 +23,9 @@ DRIVEN = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "con
 WIDEST_GAP = 0.5
 """Between the end of a piece of road and the beginning of the next one, m."""
 MAX_LENGTH = 1e5
+"""Of a circuit, m."""
+MOST_CIRCUITS, MOST_PARTS = 512, 10_000
+"""Of a file, and geometries and laneSections of one circuit."""
 MAX_NUMBER = 1e8
 """Of coordinates as they are in a file, m, which may be those of a whole country's grid."""
 
@@ -74,49 +77,62 @@ def _rings(path: Path, roads: list["_Road"]) -> list[Ring]:
     """The circuits of a file.
 
     Raises:
-        TrackError: there is none.
+        TrackError: there is none, or there are too many.
     """
     of_id = {road.id: road for road in roads}
     rings: list[Ring] = []
-    reason, used = "there is no road in it", set[str]()
+    reason, used = "", set[str]()
     for road in roads:
-        if road.id in used or road.is_in_junction:
+        if road.is_in_junction or road.id in used:
             continue
-        ring = [(road, True)]
-        met = {road.id}
-        while True:
-            last, forwards = ring[-1]
-            link = last.link("successor" if forwards else "predecessor")
-            if link is None and len(ring) == 1 and road.gap <= WIDEST_GAP:
-                link = _Link(True, road.id, True)  # closed, though no link says so
-            if link is None or not link.is_road or link.id not in of_id:
-                what = "ends" if link is None else "runs into no road" if link.is_road else "runs into a junction"
-                reason = f"road {shown(last.id)} {what}"
-                break
-            if link.id in met:
-                if link.id == road.id and link.at_start:
-                    rings.append(ring)
-                else:
-                    reason = f"road {shown(last.id)} runs into the middle of the way to it"
-                break
-            met.add(link.id)
-            ring.append((of_id[link.id], link.at_start))
-        if rings and rings[-1] is ring:
-            used |= met
+        way, ending = _follow(road, of_id, used)
+        used |= {each.id for each, _ in way}
+        if ending is None:
+            rings.append(way)
+        reason = reason or ending or ""
+        if len(rings) > MOST_CIRCUITS:
+            raise TrackError(f"track '{path.name}': it has more than {MOST_CIRCUITS} circuits; leave out some")
     if not rings:
         raise TrackError(
-            f"track '{path.name}': {reason}; a circuit is a closed road, or a ring of roads linked without a junction"
+            f"track '{path.name}': {reason or 'there is no road in it'}; a circuit is a closed road, or a ring of "
+            "roads linked without a junction"
         )
     return rings
 
 
+def _follow(start: "_Road", of_id: dict[str, "_Road"], used: set[str]) -> tuple[Ring, str | None]:
+    """The roads from one on, and how they end; None if that is where they begin.
+
+    Where they run into a ring, they are those that lead to it.
+    """
+    way, places = [(start, True)], {start.id: 0}
+    while True:
+        last, forwards = way[-1]
+        link = last.link("successor" if forwards else "predecessor")
+        if link is None and len(way) == 1 and start.gap <= WIDEST_GAP:
+            return way, None  # closed, though no link says so
+        if link is None or link.id not in of_id or not link.is_road:
+            ending = "ends" if link is None else "runs into no road" if link.is_road else "runs into a junction"
+            return way, f"road {shown(last.id)} {ending}"
+        if link.id in places and way[places[link.id]][1] == link.at_start:
+            if link.id == start.id:
+                return way, None
+            return way[: places[link.id]], f"road {shown(last.id)} runs into the middle of the way to it"
+        if link.id in places or link.id in used:
+            return way, f"road {shown(last.id)} runs into one of another way"
+        places[link.id] = len(way)
+        way.append((of_id[link.id], link.at_start))
+
+
 def _edges(path: Path, ring: Ring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middle, left and right edge of the road of a ring, [P, 2] each, m."""
-    length, parts = 0.0, []
+    length, count, parts = 0.0, 0, []
     for road, forwards in ring:
-        length += road.length
-        if length > MAX_LENGTH:
-            raise TrackError(f"track '{path.name}': the circuit is longer than {MAX_LENGTH / 1000:.0f} km")
+        length, count = length + road.length, count + road.parts
+        if length > MAX_LENGTH or count > MOST_PARTS:
+            raise TrackError(
+                f"track '{path.name}': the circuit has more than {MAX_LENGTH / 1000:.0f} km or {MOST_PARTS} parts"
+            )
         edges = road.edges()
         parts.append(edges if forwards else edges[::-1, ::-1])
     for part, following in zip(parts, [*parts[1:], parts[0]], strict=True):
@@ -155,6 +171,11 @@ class _Road:
             found.get("elementType") == "road", found.get("elementId", ""), found.get("contactPoint") == "start"
         )
 
+    @property
+    def parts(self) -> int:
+        """How many geometries and sections of lanes it has."""
+        return len(self._pieces) + len(self._sections)
+
     @cached_property
     def length(self) -> float:
         """Of the reference line, m."""
@@ -192,14 +213,15 @@ class _Road:
 
     @cached_property
     def _pieces(self) -> list[Piece]:
-        pieces, points, length = [], 0, 0.0
+        pieces: list[Piece] = []
+        points, length = 0, 0.0
         for element in self._element.iterfind("planView/geometry"):
             piece = self._piece(element)
             if piece.length == 0:
                 continue
             points, length = points + piece.steps, length + piece.length
-            if points > MOST_POINTS or length > MAX_LENGTH:
-                raise self._error(f"it has more than {MOST_POINTS} points, or {MAX_LENGTH / 1000:.0f} km")
+            if points > MOST_POINTS or length > MAX_LENGTH or len(pieces) == MOST_PARTS:
+                raise self._error(f"it has more than {MOST_POINTS} points, {MOST_PARTS} parts or {MAX_LENGTH:.0f} m")
             pieces.append(piece)
         if not pieces:
             raise self._error("it has no geometry")

@@ -27,6 +27,8 @@ UNITS = {
 """Of lengths and angles, in metres and radians, as TORCS has them: its foot is 1 um longer than the real one."""
 MAX_LENGTH = 1e5
 """Of the road, m; the longest track of TORCS has 22 km."""
+MOST_STRETCHES, MOST_STEPS = 20_000, 1000
+"""Of a road, and of one segment of changing radius; the 22 km have 1,083, and at most 31 in a segment."""
 WALLS = ("road", "barriers")
 
 
@@ -103,9 +105,10 @@ class _Side:
     def _read_border(self, section: Element) -> None:
         self._border = self._number(section, "Border", "width", self._border)
         of_border = self._section(section, "Border")
-        style = None if of_border is None else _attribute(of_border, "attstr", "style")
-        style = style or _attribute(section, "attstr", f"{self._name[0].lower()}border style")
-        self._style = self._style if style is None else style.get("val", "")
+        if of_border is not None:
+            self._style = _text(of_border, "style", self._style)
+        else:
+            self._style = _text(section, f"{self._name[0].lower()}border style", self._style)
 
     def _number(self, section: Element, part: str, name: str, default: float) -> float:
         """Of a section of its own, in version 4 of the format, or else of a name such as `lside width`, in version 3.
@@ -140,8 +143,8 @@ class _Reader:
         width = min(min(each.left) + min(each.right) for each in stretches)
         if np.hypot(*gap) > width / 2:
             raise TrackError(
-                f"track '{self.path.name}': its {len(rows)} points end {np.hypot(*gap):.2f} m from where they begin, "
-                f"after {np.degrees(rows[-1, 2]):.1f} degrees of turning; a circuit must come back to its start"
+                f"track '{self.path.name}': the road ends {np.hypot(*gap):.2f} m from where it begins, after "
+                f"{np.degrees(rows[-1, 2]):.1f} degrees of turning; a circuit must come back to its start"
             )
         steps = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1)
         rows[:, :2] -= np.outer(np.concatenate([[0], steps.cumsum()]) / steps.sum(), gap)
@@ -163,7 +166,7 @@ class _Reader:
             raise self.error(main, f"width is {2 * half:g} m; it must be positive")
         step_length = self.number(main, "profil steps length", 0.0)
         sides = _Side("Left", main, self), _Side("Right", main, self)
-        length, points, none = 0.0, 0, (0.0, 0.0)
+        length, points, count, none = 0.0, 0, 0, (0.0, 0.0)
         for segment in segments.iterfind("section"):
             arcs = self._arcs(segment, step_length)
             left, right = (side.widths(segment) if with_sides else none for side in sides)
@@ -176,9 +179,10 @@ class _Reader:
                     tuple((half + right[0] + at * (right[1] - right[0])).tolist()),
                 )
                 length, points = length + arc_length, points + stretch.begin_at(0.0, 0.0, 0.0).steps
-                if length > MAX_LENGTH or points > MOST_POINTS:
+                count += 1
+                if length > MAX_LENGTH or points > MOST_POINTS or count > MOST_STRETCHES:
                     raise self.error(
-                        segment, f"the road is longer than {MAX_LENGTH:.0f} m, or has more than {MOST_POINTS} points"
+                        segment, f"the road has more than {MAX_LENGTH / 1000:.0f} km, or too many segments or steps"
                     )
                 yield stretch
         if not points:
@@ -214,8 +218,8 @@ class _Reader:
         if int(steps) == 1:
             step_length = self.number(segment, "profil steps length", step_length)
             steps = length / step_length + 1 if step_length > 0 else 1.0
-        if not 1 <= steps <= MOST_POINTS:
-            raise self.error(segment, f"its profile has {steps:g} steps; it must have 1 to {MOST_POINTS}")
+        if not 1 <= steps <= MOST_STEPS:
+            raise self.error(segment, f"its profile has {steps:.0f} steps; it must have 1 to {MOST_STEPS}")
         return int(steps)
 
     def _positive(self, segment: Element, name: str, default: float | None = None) -> float:

@@ -8,6 +8,8 @@ from carrl.errors import TrackError
 from carrl.tracks.file_content import read_content
 
 MOST_ELEMENTS, MOST_DEPTH = 200_000, 64
+MAX_XML_BYTES = 8 * 2**20
+"""A tree takes up to twenty times as much memory as its file; the largest of TORCS's 38 tracks has 0.2 MiB."""
 
 
 def read_xml(path: Path) -> Element:
@@ -19,7 +21,7 @@ def read_xml(path: Path) -> Element:
     Raises:
         TrackError: the file is no XML, too large a tree, or declares entities of its own.
     """
-    content = read_content(path)
+    content = read_content(path, MAX_XML_BYTES)
     try:
         return _Tree(path).grow(content)
     except expat.ExpatError as error:
@@ -30,9 +32,7 @@ def read_xml(path: Path) -> Element:
                 return _read_as_latin_1(path, content)
         raise _not_xml(path, error) from None
     except (ValueError, LookupError):  # from the codec of a declared encoding, which may be any of Python's
-        raise TrackError(
-            f"track '{path.name}': this XML is in an encoding that is not read; save it as UTF-8"
-        ) from None
+        raise TrackError(f"track '{path.name}': the encoding of this XML is not read; save it as UTF-8") from None
 
 
 def _read_as_latin_1(path: Path, content: bytes) -> Element:
@@ -107,7 +107,7 @@ def root_tag(path: Path) -> str:
     parser = expat.ParserCreate()
     parser.StartElementHandler = stop
     try:
-        parser.Parse(read_content(path), True)
+        parser.Parse(read_content(path, MAX_XML_BYTES), True)
     except _RootFoundError as found:
         return str(found)
     except (expat.ExpatError, ValueError, LookupError):
