@@ -203,7 +203,8 @@ def _widths(path: Path, circuit: _Circuit, name: str) -> np.ndarray | None:
 
 def _middle(degrees: np.ndarray) -> np.ndarray:
     """Longitude and latitude of the middle of positions [P, 2], also where the 180th meridian parts them."""
-    x, y, z = _on_earth(degrees).mean(axis=0)
+    places = _on_earth(degrees)
+    x, y, z = places.min(axis=0) + places.max(axis=0)
     return np.degrees([math.atan2(y, x), math.atan2(z / (1 - _FLATNESS), math.hypot(x, y))])
 
 

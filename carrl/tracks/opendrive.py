@@ -278,9 +278,7 @@ class _Road:
                     borders[side, lane] = np.stack([np.maximum(inner, outer), np.minimum(inner, outer)], axis=1)
                 inner = outer
         if not borders:
-            raise self._error(
-                f"it has a laneSection without a lane to drive on: none is {', '.join(DRIVEN[:2])} or such"
-            )
+            raise self._error(f"a laneSection has no lane to drive on, of a type such as {DRIVEN[0]}")
         all_borders = np.stack(list(borders.values()))
         edges = np.stack([all_borders[:, :, 0].max(axis=0), all_borders[:, :, 1].min(axis=0)], axis=1)
         if (edges[:, 0] - edges[:, 1]).min() <= 0:

@@ -98,8 +98,8 @@ class _Side:
         begin = self._number(segment, "Side", "start width", self._end)
         self._end = self._number(segment, "Side", "end width", self._number(segment, "Side", "width", begin))
         self._read_border(segment)
-        if self._style == "wall":
-            return 0.0, 0.0
+        if self._style == "wall" and self._border > 0 and max(begin, self._end) > 0:
+            return 0.0, 0.0  # TORCS makes a wall of it only where a side lies behind
         return self._border + begin, self._border + self._end
 
     def _read_border(self, section: Element) -> None:
