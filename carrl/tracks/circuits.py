@@ -1,21 +1,19 @@
 """The circuits that a policy is trained on, and those on which training tries out how well it drives."""
 
 import logging
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 from carrl.errors import TrackError
+from carrl.tracks.library import ENDINGS, files_below
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
 from carrl.tracks.track import Track
 
 _logger = logging.getLogger(__name__)
 
-CIRCUIT_FILES = (".csv", ".npy", ".yaml", ".yml")
-"""Endings of the files of a folder that are taken for circuits."""
 MOST_CIRCUITS = 512
 """Of a run; each one is attached to the run's log, with about 75 bytes for every metre of its road."""
 
@@ -142,21 +140,11 @@ def circuit_files(folder: Path) -> list[Path]:
     Raises:
         TrackError: there is none, too many, or no such folder.
     """
-    found = sorted(islice(_files_below(folder), MOST_CIRCUITS + 1))
+    found = sorted(islice(files_below(folder), MOST_CIRCUITS + 1))
     if not 0 < len(found) <= MOST_CIRCUITS:
         count = f"more than {MOST_CIRCUITS}" if found else "0"
         raise TrackError(
-            f"folder '{folder}' has {count} files that end in {', '.join(CIRCUIT_FILES)}; "
+            f"folder '{folder}' has {count} files that end in {', '.join(ENDINGS)}; "
             f"it must have at least one and at most {MOST_CIRCUITS}"
         )
     return found
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    def refuse(error: OSError) -> None:
-        raise TrackError(f"folder '{error.filename}' cannot be read: {error.strerror}; name a folder of circuits")
-
-    for path, folders, names in os.walk(folder, onerror=refuse):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        files = (Path(path, name) for name in names if not name.startswith("."))
-        yield from (file for file in files if file.suffix.lower() in CIRCUIT_FILES and file.is_file())

@@ -4,7 +4,6 @@ Shapes: `P` points of the centreline, `S` walls, `G` gates, `B` cars. Lengths ar
 counter-clockwise from +x. A *station* is a distance along the centreline from the start line, in driving order.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,9 +18,9 @@ from carrl.errors import TrackError
 from carrl.tracks import builtin
 from carrl.tracks.bridges import Bridge, check_road, find_bridges
 from carrl.tracks.centreline import Centreline, gap_of
-from carrl.tracks.csv_file import read_csv
 from carrl.tracks.drawing_file import MIN_GATE_SPACING, read_drawing
 from carrl.tracks.folds import cut_folds
+from carrl.tracks.library import find_file
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 from carrl.tracks.routes import Routes
 from carrl.tracks.waypoint_file import read_waypoints
@@ -45,6 +44,8 @@ class Track:
         gate_count: how many gates, evenly spaced; the last one is the start line, so passing it completes a lap.
         bridges: where the road crosses itself.
         repeats: how many points of its file were left out, since they repeated the one before.
+        notes: how its file was read, where there was a choice; a phrase for each.
+        reference_line: the line that its file proposes to drive, in driving order, [N, 2], float32, m; or None.
     """
 
     name: str
@@ -54,47 +55,85 @@ class Track:
     gate_count: int
     bridges: tuple[Bridge, ...] = ()
     repeats: int = 0
+    notes: tuple[str, ...] = ()
+    reference_line: Tensor | None = None
 
     def __repr__(self) -> str:
         """One line instead of all its walls."""
         return f"Track({self.name!r}, {self.length:.1f} m, {self.gate_count} gates)"
 
     @staticmethod
-    def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
-        """Loads a built-in track by name, or a file by path.
+    def load(
+        name_or_path: str | Path,
+        gate_spacing: float | None = None,
+        scale: float = 1.0,
+        width: float | None = None,
+        direction: str | None = None,
+        start_at: Sequence[float] | None = None,
+    ) -> "Track":
+        """Loads a built-in track by name, or a file by path, or a file of the library by name.
 
         Args:
-            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
-                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. Any other: CSV with the
-                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
+            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it, see docs/tracks.md; or
+                the name of a file in the folders of the environment variable `CARRL_TRACKS`.
             gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
                 drawing has, and else `DEFAULT_GATE_SPACING`.
+            scale: how many times as large as in the file, such as 10 for the road of a 1:10 car.
+            width: of the road, m, before scaling, for a file that has a line without widths.
+            direction: clockwise or counterclockwise; None as in the file.
+            start_at: x and y, m, after scaling: the start line is at the nearest point of the centreline; None as in
+                the file.
 
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
+        from carrl.tracks import adjust  # Here, since it changes what is defined here.
+
         name = str(name_or_path)
         _check_gate_spacing(name, gate_spacing)
+        factor = scale if isinstance(scale, int | float) and scale > 0 else 1.0
+        spacing = None if gate_spacing is None else gate_spacing / factor
+        track = Track._read(name_or_path, spacing, DEFAULT_GATE_SPACING / factor, width)
+        track = adjust.scaled(track, scale)
+        if direction is not None:
+            track = adjust.directed(track, direction)
+        return track if start_at is None else adjust.started_at(track, start_at)
+
+    @staticmethod
+    def _read(
+        name_or_path: str | Path, gate_spacing: float | None, default_spacing: float, width: float | None
+    ) -> "Track":
+        """A track as it is in its file."""
+        name = str(name_or_path)
         if name in builtin.DRAWINGS:
+            _refuse_width(name, width)
             drawing = builtin.DRAWINGS[name]
             return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)
-        path = Path(name_or_path)
-        if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
+        path = find_file(name_or_path)
+        if path is None:
             raise TrackError(
-                f"track '{name}': no file of this path and no built-in track of this name; "
-                f"the built-in ones are {', '.join(builtin_names())}"
+                f"track '{name}': no file of this path, none of this name in the folders of CARRL_TRACKS, and no "
+                f"built-in track of this name; the built-in ones are {', '.join(builtin_names())}"
             )
+        spacing = gate_spacing or default_spacing
         ending = path.suffix.lower()
+        if ending not in ("", ".csv", ".txt"):
+            _refuse_width(path.name, width)
         if ending == ".npy":
             road = read_waypoints(path)
-            track = Track.from_walls(
-                path.name, road.centre, road.left, road.right, gate_spacing or DEFAULT_GATE_SPACING
-            )
+            track = Track.from_walls(path.name, road.centre, road.left, road.right, spacing)
             return replace(track, repeats=road.repeats)
         if ending in (".yaml", ".yml"):
+            from carrl.tracks import ros_map
+
+            if ros_map.is_map(path):
+                return ros_map.read(path, gate_spacing=spacing)[0]
             file = read_drawing(path)
-            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, file.gate_spacing)
-        return Track.from_centreline(path.name, read_csv(path), gate_spacing or DEFAULT_GATE_SPACING)
+            spacing = file.gate_spacing or default_spacing
+            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, spacing)
+        from carrl.tracks import raceline
+
+        return raceline.read(path, gate_spacing=spacing, width=width)[0]
 
     @staticmethod
     def random(
@@ -200,6 +239,7 @@ class Track:
             centreline=self.centreline * flip,
             left_wall=self.right_wall * flip,
             right_wall=self.left_wall * flip,
+            reference_line=None if self.reference_line is None else self.reference_line * flip,
         )
 
     def reversed(self) -> "Track":
@@ -215,6 +255,7 @@ class Track:
             left_wall=turn_back(self.right_wall),
             right_wall=turn_back(self.left_wall),
             bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
+            reference_line=None if self.reference_line is None else turn_back(self.reference_line),
         )
 
     @cached_property
@@ -292,6 +333,11 @@ class Track:
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
     return list(builtin.DRAWINGS)
+
+
+def _refuse_width(name: str, width: float | None) -> None:
+    if width is not None:
+        raise TrackError(f"track '{name}': width is {width}, but this track has a width of its own; leave it out")
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:
