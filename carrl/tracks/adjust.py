@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from scipy import ndimage
 from scipy.spatial import KDTree
 from shapely import LinearRing, distance, points
 from torch import Tensor
@@ -27,9 +28,11 @@ SCALES = 1e-3, 1e3
 DIRECTIONS = ("clockwise", "counterclockwise")
 _EXACT = 1e-3
 """Walls that the offset centreline meets this closely, m, need no other points."""
-_STEPS_ACROSS = 12
+_STEPS_ACROSS = 40
 """Points of a centreline in the width of the road, where its walls do not stand square to it."""
-_MOST_POINTS = 9000
+_SMOOTHING = 0.1
+"""Over how much of the road's width such a centreline is smoothed."""
+_MOST_POINTS = 5000
 _SAMPLES = 4000
 
 
@@ -123,29 +126,19 @@ def _is_coordinate(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE
 
 
-def as_centreline(track: "Track", symmetric: bool = False) -> Centreline:
-    """The track as a centreline with widths, whose walls are those of the track as nearly as such walls can be.
-
-    Args:
-        track: any.
-        symmetric: whether the widths to both sides shall be the same, with the line in the middle.
-    """
+def as_centreline(track: "Track") -> Centreline:
+    """The track as a centreline with widths, whose walls are those of the track as nearly as such walls can be."""
     middle, left, right = (_array(line) for line in (track.centreline, track.left_wall, track.right_wall))
-    widths = [np.linalg.norm(side - middle, axis=1) for side in (right, left)]
-    simple = Centreline(middle, *(np.maximum(width, MIN_STEP) for width in widths))
-    is_even = np.abs(widths[0] - widths[1]).max() < _EXACT
+    widths = (np.linalg.norm(side - middle, axis=1).clip(MIN_STEP) for side in (right, left))
+    simple = Centreline(middle, *widths)
     walls = [cut_folds(wall, middle) for wall in simple.walls()]
-    if (is_even or not symmetric) and max(map(_apart, walls, (left, right))) < _EXACT:
+    if max(map(_apart, walls, (left, right))) < _EXACT:
         return simple
     across = float(np.median(np.linalg.norm(left - right, axis=1)))
     step = max(across / _STEPS_ACROSS, arc_lengths(middle)[-1] / _MOST_POINTS, 2 * MIN_STEP)
-    middle = resampled(middle, step)
+    # Smooth, so that its normals sweep the outside of each corner.
+    middle = ndimage.gaussian_filter1d(resampled(middle, step), across * _SMOOTHING / step, axis=0, mode="wrap")
     to_left, to_right = _cast_widths(middle, left, right)
-    for _ in range(3 if symmetric else 0):
-        middle = resampled(middle + normals(middle) * ((to_left - to_right) / 2)[:, None], step)
-        to_left, to_right = _cast_widths(middle, left, right)
-    if symmetric:
-        to_left = to_right = (to_left + to_right) / 2
     return Centreline(middle, to_right, to_left)
 
 

@@ -5,6 +5,7 @@ centreline. Lengths are in pixels; the middle of a pixel is at its column and ro
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -26,6 +27,9 @@ _ORNAMENT = 0.05
 """A closed corridor smaller than this share of the largest one is none, but the inside of a letter, say."""
 _NEAR = 1.5
 """A wall is looked for square to the middle up to this many times as far as it is at its nearest."""
+_BLOCKS = 16
+"""Of a picture, of which one at a time is counted, which takes eight times its memory."""
+_MOST_PIECES = 8
 _PASSAGE = 0.25
 """A way around a hole that is narrower than this share of the road's greatest width is none."""
 _STEP = 0.5
@@ -54,7 +58,7 @@ def find_corridor(free: np.ndarray, occupancy: np.ndarray | None, middle: np.nda
 
     Args:
         free: which pixels a car may be on, [H, W], bool.
-        occupancy: 0 for free to 1 for occupied, [H, W], where grey pixels are partly covered; None where not.
+        occupancy: 0 for free to 255 for occupied, [H, W], uint8, where grey pixels are partly covered; None where not.
         middle: the line in its middle, if it is known, [P, 2].
 
     Raises:
@@ -81,7 +85,8 @@ def _corridor(
     square = normals(middle)
     away = [KDTree(side[0]).query(middle)[0] for side in (left, right)]
     reach = 2 * _SIDE_ARM * np.maximum(*away)[:, None]
-    return Corridor(middle, _wall(middle, square * reach, left), _wall(middle, -square * reach, right), len(islands))
+    walls = [_wall(middle, sign * square * reach, side) for sign, side in ((1, left), (-1, right))]
+    return Corridor(*_finer(middle, walls), len(islands))
 
 
 def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
@@ -90,8 +95,8 @@ def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarr
     Raises:
         CorridorError: as `find_corridor` does.
     """
-    labels, _ = ndimage.label(free)
-    sizes = np.bincount(labels.ravel())
+    labels, count = ndimage.label(free)
+    sizes = sum(np.bincount(rows.ravel(), minlength=count + 1) for rows in np.array_split(labels, _BLOCKS))
     sizes[0] = 0
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     sizes[rim] = 0
@@ -102,7 +107,7 @@ def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarr
             break
         rows, columns = places[label - 1]
         part = np.pad(labels[rows, columns] == label, 1)
-        shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=1)
+        shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
         rings = trace(part, shades)
         if _loops_of(rings):
             loops.append((int(sizes[label]), [ring + (columns.start - 1, rows.start - 1) for ring in rings]))
@@ -213,16 +218,28 @@ def _walk(ends: np.ndarray) -> np.ndarray:
 
 
 def _smoothed(line: np.ndarray, room: float, road: Polygon) -> np.ndarray:
-    """The line [P, 2] evenly resampled and smoothed over about a tenth of the road, less where it would leave it."""
+    """The line [P, 2] evenly resampled and smoothed over about half a road, less where it would leave the road.
+
+    What smoothing once and twice again takes off in bends is given back, so that it does not cut them.
+    """
     length = arc_lengths(line)[-1]
     if length > MOST_POINTS:
         raise CorridorError(f"its middle is {length:,.0f} pixels long; use a resolution of at most {MOST_POINTS:,}")
     even = resampled(line, _STEP)
-    for share in (0.2, 0.1):
-        smooth = ndimage.gaussian_filter1d(even, max(1.0, share * room / _STEP), axis=0, mode="wrap")
+    for share in (0.4, 0.2, 0.1):
+        once, twice, thrice = _blurred(even, max(1.0, share * room / _STEP))
+        smooth = 3 * once - 3 * twice + thrice
         if shapely.contains_xy(road, smooth[:, 0], smooth[:, 1]).all():
             return resampled(smooth, _STEP)
     return even
+
+
+def _blurred(line: np.ndarray, sigma: float) -> list[np.ndarray]:
+    """The closed line [P, 2] smoothed once, twice and thrice with a Gaussian of that many points."""
+    lines = [line]
+    for _ in range(3):
+        lines.append(ndimage.gaussian_filter1d(lines[-1], sigma, axis=0, mode="wrap"))
+    return lines[1:]
 
 
 def _known(line: np.ndarray, road: Polygon) -> np.ndarray:
@@ -262,8 +279,24 @@ def _pixel(point: np.ndarray) -> str:
     return f"column {point[0]:.0f}, row {point[1]:.0f} from the bottom"
 
 
-def _wall(middle: np.ndarray, rays: np.ndarray, own: list[np.ndarray]) -> np.ndarray:
-    """The wall of a side beside the middle: [P, 2] to [P, 2].
+class _Wall(NamedTuple):
+    """A wall beside each point of the middle.
+
+    Attributes:
+        points: [P, 2].
+        ring: of the corridor, on which most of them lie, [N, 2].
+        places: where along it, going on around it, [P + 1], the last one a lap after the first.
+        is_island: which of them lie on an island before it, [P], bool.
+    """
+
+    points: np.ndarray
+    ring: np.ndarray
+    places: np.ndarray
+    is_island: np.ndarray
+
+
+def _wall(middle: np.ndarray, rays: np.ndarray, own: list[np.ndarray]) -> _Wall:
+    """The wall of a side beside the middle [P, 2].
 
     It is where rays square to the middle meet the first ring of the side. Where they meet it far off, since they pass
     beyond the tip of a hairpin or look into a bay, the wall goes on along the ring. Islands stand before it.
@@ -271,17 +304,37 @@ def _wall(middle: np.ndarray, rays: np.ndarray, own: list[np.ndarray]) -> np.nda
     nearest = KDTree(own[0]).query(middle)[0]
     share, place = cast(middle, rays, own[0])
     found = share * np.linalg.norm(rays, axis=1) < _NEAR * nearest + 1
-    wall = point_at(own[0], _steady(place, found, arc_lengths(own[0])[-1], len(middle)))
+    places = _steady(place, found, arc_lengths(own[0])[-1], len(middle))
+    wall, is_island = point_at(own[0], places[:-1]), np.zeros(len(middle), dtype=bool)
     for island in own[1:]:
         nearer, place = cast(middle, rays, island)
         hits = nearer < share
         wall[hits] = point_at(island, place[hits])
-        share = np.minimum(share, nearer)
-    return wall
+        share, is_island = np.minimum(share, nearer), is_island | hits
+    return _Wall(wall, own[0], places, is_island)
+
+
+def _finer(middle: np.ndarray, walls: list[_Wall]) -> list[np.ndarray]:
+    """The middle and the walls [P, 2] with more points where those of a wall are far apart, as outside of a bend."""
+    gaps = [np.linalg.norm(np.roll(wall.points, -1, axis=0) - wall.points, axis=1) for wall in walls]
+    pieces = np.ceil(np.maximum(*gaps) / (2 * _STEP)).clip(1, _MOST_PIECES).astype(int)
+    index = np.repeat(np.arange(len(middle)), pieces)
+    share = np.concatenate([np.arange(each) / each for each in pieces.tolist()])
+    after = (index + 1) % len(middle)
+
+    def between(points: np.ndarray) -> np.ndarray:
+        return points[index] + share[:, None] * (points[after] - points[index])
+
+    lines = [between(middle)]
+    for wall in walls:
+        places = wall.places[index] + share * (wall.places[index + 1] - wall.places[index])
+        is_island = wall.is_island[index] | wall.is_island[after]
+        lines.append(np.where(is_island[:, None], between(wall.points), point_at(wall.ring, places)))
+    return lines
 
 
 def _steady(places: np.ndarray, found: np.ndarray, length: float, count: int) -> np.ndarray:
-    """Places along a ring that go on around it with the centreline, [P], where normals cross before they meet it.
+    """Places along a ring that go on around it with the centreline, [P + 1], where normals cross before they meet it.
 
     Raises:
         CorridorError: they do not go around it once.
@@ -297,4 +350,4 @@ def _steady(places: np.ndarray, found: np.ndarray, length: float, count: int) ->
     ahead = turn * np.interp(np.arange(-count, 2 * count), np.concatenate([index - count, index, index + count]),
                              np.concatenate([ahead - lap, ahead, ahead + lap]))
     forwards, backwards = np.maximum.accumulate(ahead), np.minimum.accumulate(ahead[::-1])[::-1]
-    return np.asarray(turn * (forwards + backwards)[count : 2 * count] / 2)
+    return np.asarray(turn * (forwards + backwards)[count : 2 * count + 1] / 2)

@@ -47,7 +47,7 @@ def trace(free: np.ndarray, occupancy: np.ndarray | None) -> list[np.ndarray]:
 
     Args:
         free: which pixels are free, connected by their sides; none on the rim of the picture, [H, W], bool.
-        occupancy: 0 for free to 1 for occupied, [H, W], where grey pixels are partly covered; None where not.
+        occupancy: 0 for free to 255 for occupied, [H, W], where grey pixels are partly covered; None where not.
 
     Returns:
         Points on the edges between pixels, about a pixel apart, [N, 2] each.
@@ -86,7 +86,7 @@ def _coverage(begin: np.ndarray, way: np.ndarray, occupancy: np.ndarray) -> np.n
     def value(steps: int) -> np.ndarray:
         column, row = (inside + steps * outward).T
         height, width = occupancy.shape
-        return np.asarray(occupancy[row.clip(0, height - 1), column.clip(0, width - 1)])
+        return np.asarray(occupancy[row.clip(0, height - 1), column.clip(0, width - 1)] / 255)
 
     outside, beyond = value(1), value(2)
     return np.where(beyond > outside, 1 - outside, 0) - value(0).clip(0, 0.5)

@@ -188,7 +188,7 @@ def _number(name: str, key: str, value: Any, low: float = -MAX_COORDINATE, high:
 
 
 def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray | None]:
-    """Which pixels are free, row 0 at the bottom, [H, W], and how occupied they are where edges are drawn softly."""
+    """Which pixels are free, row 0 at the bottom, [H, W], and how occupied where edges are drawn softly, 0 to 255."""
     name = f"track '{path.name}': the picture '{map_file.image.name}'"
     if not map_file.image.is_file():
         raise TrackError(f"{name} is not there; put it beside the YAML file, or name its place in image")
@@ -202,20 +202,17 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
                         f"{name} has {image.width} x {image.height} pixels; it must have from 9 to {MOST_PIXELS:,}"
                     )
                 opaque = np.asarray(image.getchannel("A")) > 0 if "A" in image.getbands() else None
-                deep = image.mode.startswith(("I", "F"))
-                shades = np.asarray(image if deep else image.convert("L"))
+                if image.mode.startswith(("I", "F")):  # 16 bits, which Pillow keeps in 16 or 32
+                    image = Image.fromarray((np.asarray(image).clip(0, 2**16 - 1) // 256).astype(np.uint8))
+                image = image.convert("L")
+                count, shades = np.count_nonzero(image.histogram()), np.asarray(image)[::-1]
         except (*_BROKEN, UnidentifiedImageError, Image.DecompressionBombError, Warning):
             raise TrackError(f"{name} is damaged, or neither PNG nor PGM nor BMP") from None
-    if deep:  # 16 bits, which Pillow keeps in 16 or 32
-        shades = (shades.clip(0, 2**16 - 1) // 256).astype(np.uint8)
-    shades = shades[::-1]
-    steps = np.arange(256, dtype=np.float32) / 255
-    occupancy_of = steps if map_file.negate else 1 - steps
-    free = (occupancy_of < map_file.free_thresh)[shades]
+    occupancy = shades if map_file.negate else ~shades
+    free = occupancy < map_file.free_thresh * 255
     if opaque is not None:
         free &= opaque[::-1]
-    is_trinary = np.count_nonzero(np.bincount(shades.ravel(), minlength=256)) <= _TRINARY
-    return free, None if is_trinary else occupancy_of[shades]
+    return free, occupancy if count > _TRINARY else None
 
 
 def write(path: Path, track: Track, resolution: float) -> list[Path]:
