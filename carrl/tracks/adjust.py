@@ -3,7 +3,6 @@
 Shapes: `P` points of the centreline, `N` points of a line.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any

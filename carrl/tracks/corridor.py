@@ -70,9 +70,7 @@ def find_corridor(free: np.ndarray, occupancy: np.ndarray | None, middle: np.nda
         raise CorridorError(str(error), error.rings, error.place, free) from None
 
 
-def _corridor(
-    outer: np.ndarray, inner: np.ndarray, islands: list[np.ndarray], middle: np.ndarray | None
-) -> Corridor:
+def _corridor(outer: np.ndarray, inner: np.ndarray, islands: list[np.ndarray], middle: np.ndarray | None) -> Corridor:
     left, right = _sides(inner, outer, islands)
     road = Polygon(outer, [inner])
     if middle is None:
@@ -86,7 +84,8 @@ def _corridor(
     away = [KDTree(side[0]).query(middle)[0] for side in (left, right)]
     reach = 2 * _SIDE_ARM * np.maximum(*away)[:, None]
     walls = [_wall(middle, sign * square * reach, side) for sign, side in ((1, left), (-1, right))]
-    return Corridor(*_finer(middle, walls), len(islands))
+    centre, inner_wall, outer_wall = _finer(middle, walls)
+    return Corridor(centre, inner_wall, outer_wall, len(islands))
 
 
 def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
@@ -96,7 +95,9 @@ def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarr
         CorridorError: as `find_corridor` does.
     """
     labels, count = ndimage.label(free)
-    sizes = sum(np.bincount(rows.ravel(), minlength=count + 1) for rows in np.array_split(labels, _BLOCKS))
+    sizes = np.zeros(count + 1, dtype=np.int64)
+    for block in np.array_split(labels, _BLOCKS):
+        sizes += np.bincount(block.ravel(), minlength=count + 1)
     sizes[0] = 0
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     sizes[rim] = 0
@@ -110,7 +111,8 @@ def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarr
         shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
         rings = trace(part, shades)
         if _loops_of(rings):
-            loops.append((int(sizes[label]), [ring + (columns.start - 1, rows.start - 1) for ring in rings]))
+            corner = np.array([columns.start - 1, rows.start - 1])
+            loops.append((int(sizes[label]), [ring + corner for ring in rings]))
     if not loops:
         raise CorridorError(
             "no closed corridor: no free space inside the picture leads around something that is larger than the "
@@ -343,11 +345,15 @@ def _steady(places: np.ndarray, found: np.ndarray, length: float, count: int) ->
     if len(index) < count / 2:
         raise CorridorError("its walls are not beside its middle; clean the picture of specks")
     ahead = np.unwrap(places[index], period=length)
-    turn = np.round((ahead[-1] - ahead[0] + ((places[index[0]] - ahead[-1] + length / 2) % length - length / 2)) / length)
+    closing = (places[index[0]] - ahead[-1] + length / 2) % length - length / 2
+    turn = np.round((ahead[-1] - ahead[0] + closing) / length)
     if abs(turn) != 1:
         raise CorridorError("a wall does not go around with its middle; clean the picture of specks")
     lap = turn * length
-    ahead = turn * np.interp(np.arange(-count, 2 * count), np.concatenate([index - count, index, index + count]),
-                             np.concatenate([ahead - lap, ahead, ahead + lap]))
+    ahead = turn * np.interp(
+        np.arange(-count, 2 * count),
+        np.concatenate([index - count, index, index + count]),
+        np.concatenate([ahead - lap, ahead, ahead + lap]),
+    )
     forwards, backwards = np.maximum.accumulate(ahead), np.minimum.accumulate(ahead[::-1])[::-1]
     return np.asarray(turn * (forwards + backwards)[count : 2 * count + 1] / 2)

@@ -81,6 +81,8 @@ def _belongs_to_another(stem: str, stems: set[str]) -> bool:
     for part in _PARTS:
         name = stem.removesuffix(part)
         if name != stem:
-            others = {name, f"{name}_map"} | ({f"{name}{each}" for each in _PARTS[:2]} if part == "_raceline" else set())
+            others = {name, f"{name}_map"} | (
+                {f"{name}{each}" for each in _PARTS[:2]} if part == "_raceline" else set()
+            )
             return bool(others & stems)
     return False

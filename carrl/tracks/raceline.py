@@ -23,8 +23,8 @@ MOST_WIDTH = 1e4
 def read(path: Path, gate_spacing: float | None = None, width: float | None = None) -> list[Track]:
     """The road in a CSV file, with the raceline in it, or in a file beside it, as its reference line.
 
-    A file of a raceline alone, such as TUM's `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`, has no widths: with
-    a width given, the raceline is the middle of the road.
+    A file of a raceline alone, such as TUM's `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`, has no widths:
+    with a width given, the raceline is the middle of the road.
 
     Args:
         path: of the file.

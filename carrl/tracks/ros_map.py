@@ -19,7 +19,7 @@ from carrl.errors import TrackError, shown
 from carrl.files import write_whole
 from carrl.plain_yaml import parse_yaml
 from carrl.tracks.adjust import as_centreline
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_STEP, without_repeats
+from carrl.tracks.centreline import MAX_COORDINATE, without_repeats
 from carrl.tracks.corridor import find_corridor
 from carrl.tracks.csv_file import read_csv, write_csv
 from carrl.tracks.file_content import read_content
@@ -202,10 +202,9 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
                         f"{name} has {image.width} x {image.height} pixels; it must have from 9 to {MOST_PIXELS:,}"
                     )
                 opaque = np.asarray(image.getchannel("A")) > 0 if "A" in image.getbands() else None
-                if image.mode.startswith(("I", "F")):  # 16 bits, which Pillow keeps in 16 or 32
-                    image = Image.fromarray((np.asarray(image).clip(0, 2**16 - 1) // 256).astype(np.uint8))
-                image = image.convert("L")
-                count, shades = np.count_nonzero(image.histogram()), np.asarray(image)[::-1]
+                is_deep = image.mode.startswith(("I", "F"))  # 16 bits, which Pillow keeps in 16 or 32
+                flat = Image.fromarray(_in_8_bits(np.asarray(image))) if is_deep else image.convert("L")
+                count, shades = np.count_nonzero(flat.histogram()), np.asarray(flat)[::-1]
         except (*_BROKEN, UnidentifiedImageError, Image.DecompressionBombError, Warning):
             raise TrackError(f"{name} is damaged, or neither PNG nor PGM nor BMP") from None
     occupancy = shades if map_file.negate else ~shades
@@ -213,6 +212,10 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
     if opaque is not None:
         free &= opaque[::-1]
     return free, occupancy if count > _TRINARY else None
+
+
+def _in_8_bits(shades: np.ndarray) -> np.ndarray:
+    return np.asarray((shades.clip(0, 2**16 - 1) // 256).astype(np.uint8))
 
 
 def write(path: Path, track: Track, resolution: float) -> list[Path]:
