@@ -1,23 +1,22 @@
-"""Tracks in another size, driven the other way round or from another start, and as a centreline with widths.
+"""Roads in another size, driven the other way round or from another start, and tracks as centrelines with widths.
 
 Shapes: `P` points of the centreline, `N` points of a line.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from scipy import ndimage
 from scipy.spatial import KDTree
 from shapely import LinearRing, distance, points
 from torch import Tensor
 
 from carrl.errors import TrackError, shown
-from carrl.tracks.bridges import Bridge
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, normals
-from carrl.tracks.folds import cut_folds
+from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, Road, normals, without_repeats
+from carrl.tracks.crossings import cut_folds
 from carrl.tracks.rings import arc_lengths, cast, resampled, signed_area
 
 if TYPE_CHECKING:
@@ -35,94 +34,74 @@ _MOST_POINTS = 5000
 _SAMPLES = 4000
 
 
-def scaled(track: "Track", scale: float) -> "Track":
-    """The track `scale` times as large, with as many gates; points that come too close to each other are left out.
+def adjusted(
+    name: str, road: Road, scale: float = 1.0, direction: str | None = None, start_at: Sequence[float] | None = None
+) -> Road:
+    """A road in another size, driven the other way round, or from another start.
+
+    Args:
+        name: of its track, for messages.
+        road: any.
+        scale: how many times as large; points that come too close to each other are left out.
+        direction: clockwise or counterclockwise, from the same start; None for that of the road.
+        start_at: x and y, m, after scaling: the start is the nearest point of the centreline; None as in the road.
 
     Raises:
-        TrackError: the scale is no positive number, or the track gets too large or too small.
+        TrackError: one of them has no such value, or the road gets too large or too small.
     """
-    is_number = isinstance(scale, int | float) and not isinstance(scale, bool)
-    if not is_number or not SCALES[0] <= scale <= SCALES[1]:
-        raise TrackError(
-            f"track '{track.name}': scale is {shown(scale)}; it must be a number from {SCALES[0]:g} to {SCALES[1]:g}"
-        )
+    try:
+        road = _scaled(road, scale)
+        road = road if direction is None else _directed(road, direction)
+        return road if start_at is None else _started_at(road, start_at)
+    except TrackError as error:
+        raise TrackError(f"track '{name}': {error}") from None
+
+
+def _scaled(road: Road, scale: float) -> Road:
+    if not _is_number(scale) or not SCALES[0] <= scale <= SCALES[1]:
+        raise TrackError(f"scale is {shown(scale)}; it must be a number from {SCALES[0]:g} to {SCALES[1]:g}")
     if scale == 1:
-        return track
-    centre = track.centreline.double() * scale
-    if centre.abs().max() > MAX_COORDINATE:
-        raise TrackError(f"track '{track.name}': at scale {scale:g} it reaches beyond {MAX_COORDINATE:.0f} m")
-    kept, last = [0], centre[0]
-    for index in range(1, len(centre)):
-        if torch.dist(centre[index], last) >= MIN_STEP:
-            kept.append(index)
-            last = centre[index]
-    if len(kept) < MIN_POINTS:
-        raise TrackError(f"track '{track.name}': at scale {scale:g} it is a point")
+        return road
+    table, repeats = without_repeats(np.concatenate([road.centre, road.left, road.right], axis=1) * scale)
+    if len(table) < MIN_POINTS or not (np.abs(table[:, :2]) <= MAX_COORDINATE).all():
+        raise TrackError(f"at scale {scale:g} it is too small, or reaches further than {MAX_COORDINATE:.0f} m")
     return replace(
-        track,
-        centreline=centre[kept].float(),
-        left_wall=(track.left_wall.double() * scale)[kept].float(),
-        right_wall=(track.right_wall.double() * scale)[kept].float(),
-        bridges=tuple(
-            Bridge((each.over[0] * scale, each.over[1] * scale), (each.under[0] * scale, each.under[1] * scale))
-            for each in track.bridges
-        ),
-        reference_line=None if track.reference_line is None else track.reference_line * scale,
+        road,
+        centre=table[:, :2],
+        left=table[:, 2:4],
+        right=table[:, 4:],
+        repeats=road.repeats + repeats,
+        gate_spacing=None if road.gate_spacing is None else road.gate_spacing * scale,
+        reference=None if road.reference is None else road.reference * scale,
     )
 
 
-def directed(track: "Track", direction: str) -> "Track":
-    """The track driven clockwise or counter-clockwise, from the same start.
-
-    Raises:
-        TrackError: the direction is neither.
-    """
+def _directed(road: Road, direction: str) -> Road:
     if direction not in DIRECTIONS:
-        raise TrackError(f"track '{track.name}': direction is {shown(direction)}; it must be {' or '.join(DIRECTIONS)}")
-    is_clockwise = signed_area(track.centreline.double().numpy()) < 0
-    return track if is_clockwise == (direction == DIRECTIONS[0]) else replace(track.reversed(), name=track.name)
+        raise TrackError(f"direction is {shown(direction)}; it must be {' or '.join(DIRECTIONS)}")
+    is_clockwise = signed_area(road.centre) < 0
+    if is_clockwise == (direction == DIRECTIONS[0]):
+        return road
+    centre, left, right = (np.roll(line[::-1], 1, axis=0) for line in (road.centre, road.right, road.left))
+    reference = None if road.reference is None else road.reference[::-1]
+    return replace(road, centre=centre, left=left, right=right, reference=reference)
 
 
-def started_at(track: "Track", place: Sequence[float]) -> "Track":
-    """The track with its start line at the point of its centreline that is nearest to a place, (x, y), m.
-
-    Raises:
-        TrackError: the place is no such pair.
-    """
-    if not (isinstance(place, Sequence) and len(place) == 2 and all(map(_is_coordinate, place))):
-        raise TrackError(f"track '{track.name}': start_at is {shown(place)}; it must be [x, y], m")
-    lines = torch.stack([track.centreline, track.left_wall, track.right_wall], dim=1).double()
-    way = lines.roll(-1, 0) - lines
-    to_place = torch.tensor([float(each) for each in place]).double() - lines[:, 0]
-    squares = (way[:, 0] ** 2).sum(1)
-    share = ((to_place * way[:, 0]).sum(1) / squares).clamp(0, 1)
-    index = int(torch.linalg.vector_norm(to_place - share[:, None] * way[:, 0], dim=1).argmin())
-    before = float(share[index] * squares[index].sqrt())
-    station = float(torch.linalg.vector_norm(way[:index, 0], dim=1).sum()) + before
-    turned = lines.roll(-index, 0)
-    if before < MIN_STEP:
-        station -= before
-    elif float(squares[index].sqrt()) - before < MIN_STEP:
-        station += float(squares[index].sqrt()) - before
-        turned = lines.roll(-index - 1, 0)
-    else:
-        new = lines[index] + share[index] * way[index]
-        turned = torch.cat([new[None], lines.roll(-index - 1, 0)])
-    centre, left, right = turned.float().unbind(1)
-    bridges = tuple(
-        Bridge(*(_moved(stretch, station, track.length) for stretch in (each.over, each.under)))
-        for each in track.bridges
-    )
-    return replace(track, centreline=centre, left_wall=left, right_wall=right, bridges=bridges)
+def _started_at(road: Road, place: Sequence[float]) -> Road:
+    if not (isinstance(place, Sequence) and len(place) == 2 and all(map(_is_number, place))):
+        raise TrackError(f"start_at is {shown(place)}; it must be [x, y], m")
+    lines = np.stack([road.centre, road.left, road.right], axis=1)
+    way = np.roll(lines, -1, axis=0) - lines
+    away = np.asarray(place, dtype=np.float64).clip(-MAX_COORDINATE, MAX_COORDINATE) - lines[:, 0]
+    share = ((away * way[:, 0]).sum(axis=1) / (way[:, 0] ** 2).sum(axis=1)).clip(0, 1)
+    index = int(np.linalg.norm(away - share[:, None] * way[:, 0], axis=1).argmin())
+    start = lines[index] + share[index] * way[index]
+    lines, _ = without_repeats(np.concatenate([start[None], np.roll(lines, -index - 1, axis=0)]).reshape(-1, 6))
+    return replace(road, centre=lines[:, :2], left=lines[:, 2:4], right=lines[:, 4:])
 
 
-def _moved(stretch: tuple[float, float], station: float, length: float) -> tuple[float, float]:
-    begin = (stretch[0] - station) % length
-    return begin, begin + stretch[1] - stretch[0]
-
-
-def _is_coordinate(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def as_centreline(track: "Track") -> Centreline:

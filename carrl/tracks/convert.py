@@ -10,9 +10,8 @@ from carrl.errors import TrackError
 from carrl.files import write_whole
 from carrl.tracks import ros_map, waypoint_file
 from carrl.tracks.adjust import as_centreline, walls_apart
-from carrl.tracks.borders import is_abreast
+from carrl.tracks.crossings import cut_folds
 from carrl.tracks.csv_file import write_csv
-from carrl.tracks.folds import cut_folds
 from carrl.tracks.track import Track
 
 TOLERANCE, MAP_TOLERANCE = 0.06, 2.5
@@ -96,7 +95,7 @@ def _write_drawing(path: Path, track: Track, _: float) -> list[Path]:
 
 def _write_waypoints(path: Path, track: Track, _: float) -> list[Path]:
     middle, left, right = (line.double().numpy() for line in (track.centreline, track.left_wall, track.right_wall))
-    if not (is_abreast(middle, left) and is_abreast(middle, right)):
+    if not (waypoint_file.is_abreast(middle, left) and waypoint_file.is_abreast(middle, right)):
         line = as_centreline(track)
         middle, (left, right) = line.points, (cut_folds(wall, line.points) for wall in line.walls())
     waypoint_file.write_waypoints(path, middle, left, right)

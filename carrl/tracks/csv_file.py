@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from carrl.errors import TrackError
-from carrl.files import write_whole
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, Centreline, without_repeats
-from carrl.tracks.file_content import read_content
+from carrl.files import read_whole, write_whole
+from carrl.tracks.centreline import MAX_COORDINATE, MAX_FILE_BYTES, MIN_POINTS, MOST_POINTS, Centreline, without_repeats
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 ALSO_CALLED = {
@@ -102,7 +101,7 @@ def _read_rows(path: Path) -> tuple[list[Row], list[Row]]:
     comments: list[Row] = []
     rows: list[Row] = []
     try:
-        text = read_content(path).decode("utf-8-sig")
+        text = read_whole(path, MAX_FILE_BYTES, f"track '{path.name}'", TrackError).decode("utf-8-sig")
         if text.lstrip().startswith(("{", "<")):
             raise TrackError(f"track '{path.name}': this is JSON or XML; CarRL reads .csv, .npy and .yaml")
         delimiter, line = _delimiter_of(text), 1

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from carrl.errors import TrackError
+from carrl.tracks.formats import READERS
 
 VARIABLE = "CARRL_TRACKS"
-ENDINGS = (".csv", ".npy", ".yaml", ".yml")
-"""Of the files of a folder that are taken for circuits."""
 _PARTS = ("_centerline", "_centreline", "_raceline")
 """Endings of the names of files that belong to another one."""
 MOST_FILES = 100_000
@@ -70,7 +69,7 @@ def files_below(folder: Path) -> Iterator[Path]:
         stems = {os.path.splitext(name)[0] for name in names}
         for name in sorted(names):
             stem, ending = os.path.splitext(name)
-            if name.startswith(".") or ending.lower() not in ENDINGS or _belongs_to_another(stem, stems):
+            if name.startswith(".") or ending.lower() not in READERS or _belongs_to_another(stem, stems):
                 continue
             if (file := Path(path, name)).is_file():
                 yield file

@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from carrl.errors import TrackError, shown
-from carrl.tracks.centreline import MIN_POINTS, without_repeats
+from carrl.tracks.centreline import MIN_POINTS, Road, without_repeats
 from carrl.tracks.csv_file import COLUMNS, centreline_of, read_columns
-from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
 
 LINE = ("x_m", "y_m")
 ON_NORMALS = (*COLUMNS[:2], "x_normvec_m", "y_normvec_m", "alpha_m")
@@ -20,7 +18,7 @@ ON_NORMALS = (*COLUMNS[:2], "x_normvec_m", "y_normvec_m", "alpha_m")
 MOST_WIDTH = 1e4
 
 
-def read(path: Path, gate_spacing: float | None = None, width: float | None = None) -> list[Track]:
+def read(path: Path, width: float | None = None) -> Road:
     """The road in a CSV file, with the raceline in it, or in a file beside it, as its reference line.
 
     A file of a raceline alone, such as TUM's `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`, has no widths:
@@ -28,7 +26,6 @@ def read(path: Path, gate_spacing: float | None = None, width: float | None = No
 
     Args:
         path: of the file.
-        gate_spacing: about how far the gates stand apart, m.
         width: of the road, m, for a file without widths.
 
     Raises:
@@ -48,7 +45,7 @@ def read(path: Path, gate_spacing: float | None = None, width: float | None = No
         notes.append(f"a line without widths, taken for the middle of a road {width:g} m wide")
     else:
         if width is not None:
-            raise TrackError(f"track '{path.name}': width is {width:g}, but this file has widths of its own")
+            raise TrackError(f"track '{path.name}': width is {shown(width)}, but this file has widths of its own")
         if not has_header:
             notes.append(f"four columns without a header, read as {', '.join(COLUMNS)}")
         on_normals = _read(path, ON_NORMALS)
@@ -58,8 +55,7 @@ def read(path: Path, gate_spacing: float | None = None, width: float | None = No
     if reference is None:
         reference, found = reference_beside(path)
         notes += found
-    track = Track.from_centreline(path.name, centreline_of(path, table), gate_spacing or DEFAULT_GATE_SPACING)
-    return [replace(track, notes=tuple(notes), reference_line=as_line(reference))]
+    return replace(centreline_of(path, table).road(), notes=tuple(notes), reference=without_closing(reference))
 
 
 def reference_beside(path: Path) -> tuple[np.ndarray | None, list[str]]:
@@ -82,9 +78,9 @@ def reference_beside(path: Path) -> tuple[np.ndarray | None, list[str]]:
     return line, [f"reference line from {beside.name}"]
 
 
-def as_line(points: np.ndarray | None) -> torch.Tensor | None:
-    """Points [P, 2] of a closed line as `Track.reference_line`, without repeats."""
-    return None if points is None else torch.from_numpy(without_repeats(points)[0].astype(np.float32))
+def without_closing(line: np.ndarray | None) -> np.ndarray | None:
+    """A closed line [P, 2] without repeated points."""
+    return None if line is None else without_repeats(line)[0]
 
 
 def _read(path: Path, columns: tuple[str, ...]) -> np.ndarray | None:

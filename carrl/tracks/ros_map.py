@@ -8,24 +8,25 @@ import math
 import struct
 import warnings
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from carrl.errors import TrackError, shown
-from carrl.files import write_whole
+from carrl.files import read_whole, write_whole
 from carrl.plain_yaml import parse_yaml
 from carrl.tracks.adjust import as_centreline
-from carrl.tracks.centreline import MAX_COORDINATE, without_repeats
+from carrl.tracks.centreline import MAX_COORDINATE, Road, without_repeats
 from carrl.tracks.corridor import find_corridor
 from carrl.tracks.csv_file import read_csv, write_csv
-from carrl.tracks.file_content import read_content
-from carrl.tracks.raceline import as_line, reference_beside
+from carrl.tracks.raceline import reference_beside, without_closing
 from carrl.tracks.rings import CorridorError, signed_area, thinned
-from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
+
+if TYPE_CHECKING:
+    from carrl.tracks.track import Track
 
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 """What nav2's map server requires; beside them may stand `mode`, and what other tools put there."""
@@ -47,7 +48,7 @@ _BROKEN = (OSError, ValueError, SyntaxError, EOFError, TypeError, IndexError, st
 def is_map(path: Path) -> bool:
     """Whether a YAML file is a map rather than a drawing: it has lines that begin with image and resolution."""
     try:
-        lines = read_content(path, MAX_YAML_BYTES).splitlines()
+        lines = read_whole(path, MAX_YAML_BYTES, f"track '{path.name}'", TrackError).splitlines()
     except TrackError:
         return False
     return all(any(line.startswith(key) for line in lines) for key in (b"image:", b"resolution:"))
@@ -86,17 +87,13 @@ class MapFile:
         return np.asarray((points - (x, y)) @ turn / self.resolution)
 
 
-def read(path: Path, gate_spacing: float | None = None) -> list[Track]:
-    """The road in a map: the one closed corridor of free space, as a track.
+def read(path: Path) -> Road:
+    """The road in a map: the one closed corridor of free space.
 
     Its middle is the centreline in the file NAME_centerline.csv beside it, if there is one, and else the line as far
     from the walls on both sides. Start and direction are those of that file, and else where the map's own origin is,
     along its x axis, which is where a robot began to map; if that is not on the road, at the nearest point,
     counter-clockwise. An island in the road joins the wall that it is nearer to.
-
-    Args:
-        path: of the YAML file.
-        gate_spacing: about how far the gates stand apart, m.
 
     Raises:
         TrackError: it is no such map, or its free space is no closed corridor.
@@ -115,13 +112,16 @@ def read(path: Path, gate_spacing: float | None = None) -> list[Track]:
     table, _ = without_repeats(lines.reshape(-1, 6))
     if not (np.abs(table) <= MAX_COORDINATE).all():
         raise TrackError(f"track '{path.name}': its road lies further than {MAX_COORDINATE:.0f} m from the origin")
-    sides = table[:, :2], table[:, 2:4], table[:, 4:]
-    track = Track.from_walls(path.name, *sides, gate_spacing or DEFAULT_GATE_SPACING)
     origin = f"centreline, start and direction from {beside.name}" if beside else "the middle of the free space"
     islands = (f"{corridor.islands} islands in the road, each joined to the wall nearer to it",)
     reference, found = reference_beside(path)
-    notes = (origin, *(islands if corridor.islands else ()), *found)
-    return [replace(track, notes=notes, reference_line=as_line(reference))]
+    return Road(
+        centre=table[:, :2],
+        left=table[:, 2:4],
+        right=table[:, 4:],
+        notes=(origin, *(islands if corridor.islands else ()), *found),
+        reference=without_closing(reference),
+    )
 
 
 def _from_start(lines: np.ndarray, middle: np.ndarray | None) -> np.ndarray:
@@ -154,7 +154,7 @@ def read_map_file(path: Path) -> MapFile:
     """
     name = f"track '{path.name}'"
     try:
-        values = parse_yaml(read_content(path, MAX_YAML_BYTES))
+        values = parse_yaml(read_whole(path, MAX_YAML_BYTES, f"track '{path.name}'", TrackError))
     except ValueError as error:
         raise TrackError(f"{name}: {error}") from None
     missing = [key for key in KEYS if not isinstance(values, dict) or key not in values]
@@ -192,7 +192,7 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
     name = f"track '{path.name}': the picture '{map_file.image.name}'"
     if not map_file.image.is_file():
         raise TrackError(f"{name} is not there; put it beside the YAML file, or name its place in image")
-    content = read_content(map_file.image, MOST_IMAGE_BYTES)
+    content = read_whole(map_file.image, MOST_IMAGE_BYTES, name, TrackError)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -218,7 +218,7 @@ def _in_8_bits(shades: np.ndarray) -> np.ndarray:
     return np.asarray((shades.clip(0, 2**16 - 1) // 256).astype(np.uint8))
 
 
-def write(path: Path, track: Track, resolution: float) -> list[Path]:
+def write(path: Path, track: "Track", resolution: float) -> list[Path]:
     """Writes a map whose free pixels are those with their middle on the road, and the centreline beside it.
 
     Args:

@@ -15,15 +15,17 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
-from carrl.tracks import builtin
+from carrl.tracks.adjust import adjusted
 from carrl.tracks.bridges import Bridge, check_road, find_bridges
-from carrl.tracks.centreline import Centreline, gap_of
-from carrl.tracks.drawing_file import MIN_GATE_SPACING, read_drawing
-from carrl.tracks.folds import cut_folds
-from carrl.tracks.library import find_file
+from carrl.tracks.centreline import Centreline, Road, gap_of
+from carrl.tracks.crossings import cut_folds
+from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import MIN_GATE_SPACING
+from carrl.tracks.formats import check_options, read_roads
+from carrl.tracks.inspection import inspect_track
+from carrl.tracks.library import VARIABLE, find_file
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 from carrl.tracks.routes import Routes
-from carrl.tracks.waypoint_file import read_waypoints
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
@@ -75,7 +77,7 @@ class Track:
 
         Args:
             name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it, see docs/tracks.md; or
-                the name of a file in the folders of the environment variable `CARRL_TRACKS`.
+                the name of a file in the folders that the environment variable `CARRL_TRACKS` lists.
             gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
                 drawing has, and else `DEFAULT_GATE_SPACING`.
             scale: how many times as large as in the file, such as 10 for the road of a 1:10 car.
@@ -87,53 +89,41 @@ class Track:
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
-        from carrl.tracks import adjust  # Here, since it changes what is defined here.
-
-        name = str(name_or_path)
-        _check_gate_spacing(name, gate_spacing)
-        factor = scale if isinstance(scale, int | float) and scale > 0 else 1.0
-        spacing = None if gate_spacing is None else gate_spacing / factor
-        track = Track._read(name_or_path, spacing, DEFAULT_GATE_SPACING / factor, width)
-        track = adjust.scaled(track, scale)
-        if direction is not None:
-            track = adjust.directed(track, direction)
-        return track if start_at is None else adjust.started_at(track, start_at)
+        tracks = Track.load_all(name_or_path, gate_spacing, scale, width, direction, start_at)
+        if len(tracks) > 1:
+            names = ", ".join(track.name for track in tracks[:20])
+            raise TrackError(f"track '{name_or_path}': it has {len(tracks)} circuits, {names}; name one of them")
+        return tracks[0]
 
     @staticmethod
-    def _read(
-        name_or_path: str | Path, gate_spacing: float | None, default_spacing: float, width: float | None
-    ) -> "Track":
-        """A track as it is in its file."""
+    def load_all(
+        name_or_path: str | Path,
+        gate_spacing: float | None = None,
+        scale: float = 1.0,
+        width: float | None = None,
+        direction: str | None = None,
+        start_at: Sequence[float] | None = None,
+    ) -> "list[Track]":
+        """The circuits of a file, of which a few formats may hold many; see `load`."""
         name = str(name_or_path)
-        if name in builtin.DRAWINGS:
-            _refuse_width(name, width)
-            drawing = builtin.DRAWINGS[name]
-            return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)
-        path = find_file(name_or_path)
-        if path is None:
-            raise TrackError(
-                f"track '{name}': no file of this path, none of this name in the folders of CARRL_TRACKS, and no "
-                f"built-in track of this name; the built-in ones are {', '.join(builtin_names())}"
-            )
-        spacing = gate_spacing or default_spacing
-        ending = path.suffix.lower()
-        if ending not in ("", ".csv", ".txt"):
-            _refuse_width(path.name, width)
-        if ending == ".npy":
-            road = read_waypoints(path)
-            track = Track.from_walls(path.name, road.centre, road.left, road.right, spacing)
-            return replace(track, repeats=road.repeats)
-        if ending in (".yaml", ".yml"):
-            from carrl.tracks import ros_map
-
-            if ros_map.is_map(path):
-                return ros_map.read(path, gate_spacing=spacing)[0]
-            file = read_drawing(path)
-            spacing = file.gate_spacing or default_spacing
-            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, spacing)
-        from carrl.tracks import raceline
-
-        return raceline.read(path, gate_spacing=spacing, width=width)[0]
+        _check_gate_spacing(name, gate_spacing)
+        if name in DRAWINGS:
+            check_options(name, [], {} if width is None else {"width": width})
+            drawing = DRAWINGS[name]
+            roads = [drawing.centreline().road(drawing.gate_count)]
+        else:
+            path = find_file(name_or_path)
+            if path is None:
+                raise TrackError(
+                    f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
+                    f"{', '.join(builtin_names())}, and {VARIABLE} may list folders of others"
+                )
+            name, roads = path.name, read_roads(path, width=width)
+        return [
+            Track.from_road(each, adjusted(each, road, scale, direction, start_at), gate_spacing)
+            for road in roads
+            for each in [name if road.name is None else f"{name}/{road.name}"]
+        ]
 
     @staticmethod
     def random(
@@ -161,8 +151,6 @@ class Track:
         Raises:
             TrackError: a value is no such number or range, or no circuit has these measures.
         """
-        from carrl.tracks.inspection import inspect_track  # Here, since it inspects what is defined here.
-
         name = f"random-{seed}"
         _check_gate_spacing(name, gate_spacing)
         for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing, hairpins):
@@ -174,29 +162,28 @@ class Track:
         )
 
     @staticmethod
-    def _from_drawing(
-        name: str,
-        centreline: Centreline,
-        wished_spacing: float | None,
-        gate_count: int | None,
-        gate_spacing: float | None = None,
-    ) -> "Track":
-        """A track with the gates as wished, or else as drawn."""
-        if wished_spacing is not None:
-            return Track.from_centreline(name, centreline, wished_spacing)
-        return Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING, gate_count)
+    def from_road(name: str, road: Road, gate_spacing: float | None = None) -> "Track":
+        """A track with the gates as wished, m, or else as its file has them.
+
+        Raises:
+            TrackError: the centreline crosses itself where no bridge can be made of it.
+        """
+        gates = road.gates if gate_spacing is None else None
+        spacing = gate_spacing or road.gate_spacing or DEFAULT_GATE_SPACING
+        track = Track.from_walls(name, road.centre, road.left, road.right, spacing, gates)
+        reference = None if road.reference is None else _as_tensor(road.reference)
+        return replace(track, repeats=road.repeats, notes=road.notes, reference_line=reference)
 
     @staticmethod
     def from_centreline(
         name: str, centreline: Centreline, gate_spacing: float = DEFAULT_GATE_SPACING, gate_count: int | None = None
     ) -> "Track":
-        """Builds the walls by offsetting the centreline, and the gates by `gate_count` or else by `gate_spacing` m.
+        """A track with walls beside the centreline, and gates by `gate_count` or else by `gate_spacing` m.
 
         Raises:
             TrackError: the centreline crosses itself where no bridge can be made of it.
         """
-        track = Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
-        return replace(track, repeats=centreline.repeats)
+        return Track.from_road(name, centreline.road(gate_count, gate_spacing))
 
     @staticmethod
     def from_walls(
@@ -258,6 +245,11 @@ class Track:
             reference_line=None if self.reference_line is None else turn_back(self.reference_line),
         )
 
+    @property
+    def road(self) -> Tensor:
+        """The centreline, the left and the right wall side by side, [P, 3, 2], float32, m."""
+        return torch.stack([self.centreline, self.left_wall, self.right_wall], dim=1)
+
     @cached_property
     def walls(self) -> Tensor:
         """Every wall as a pair of end points, left walls first, [S, 2, 2], float32, m; none without length."""
@@ -289,7 +281,7 @@ class Track:
 
     def room_at(self, stations: Tensor) -> Tensor:
         """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
-        return self._route.room(self._only(stations), stations)
+        return self._route.clearance(self._only(stations), stations)
 
     def next_gate(self, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
@@ -322,7 +314,7 @@ class Track:
 
     @cached_property
     def _route(self) -> Routes:
-        return Routes([self])
+        return Routes([self.road], [self.gate_count])
 
     @staticmethod
     def _only(stations: Tensor) -> Tensor:
@@ -332,12 +324,7 @@ class Track:
 
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
-    return list(builtin.DRAWINGS)
-
-
-def _refuse_width(name: str, width: float | None) -> None:
-    if width is not None:
-        raise TrackError(f"track '{name}': width is {width}, but this track has a width of its own; leave it out")
+    return list(DRAWINGS)
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:
