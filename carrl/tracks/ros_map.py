@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 """What nav2's map server requires; beside them may stand `mode`, and what other tools put there."""
 MAX_YAML_BYTES = 2**18
-MOST_PIXELS = 2**25
+LEAST_PIXELS, MOST_PIXELS = 9, 2**25
 MOST_IMAGE_BYTES = 2**26
 TOLERANCE = 0.25
 """How far walls and centreline may be from the edges found in the picture after points are left out, pixels."""
@@ -192,20 +192,21 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
     name = f"track '{path.name}': the picture '{map_file.image.name}'"
     if not map_file.image.is_file():
         raise TrackError(f"{name} is not there; put it beside the YAML file, or name its place in image")
+    limits = f"pixels; it must have from {LEAST_PIXELS} to {MOST_PIXELS:,}"
     content = read_whole(map_file.image, MOST_IMAGE_BYTES, name, TrackError)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
             with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-                if not 9 <= image.width * image.height <= MOST_PIXELS:
-                    raise TrackError(
-                        f"{name} has {image.width} x {image.height} pixels; it must have from 9 to {MOST_PIXELS:,}"
-                    )
+                if not LEAST_PIXELS <= image.width * image.height <= MOST_PIXELS:
+                    raise TrackError(f"{name} has {image.width} x {image.height} {limits}")
                 opaque = np.asarray(image.getchannel("A")) > 0 if "A" in image.getbands() else None
                 is_deep = image.mode.startswith(("I", "F"))  # 16 bits, which Pillow keeps in 16 or 32
                 flat = Image.fromarray(_in_8_bits(np.asarray(image))) if is_deep else image.convert("L")
                 count, shades = np.count_nonzero(flat.histogram()), np.asarray(flat)[::-1]
-        except (*_BROKEN, UnidentifiedImageError, Image.DecompressionBombError, Warning):
+        except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+            raise TrackError(f"{name} has a huge number of {limits}") from None
+        except (*_BROKEN, UnidentifiedImageError, Warning):
             raise TrackError(f"{name} is damaged, or neither PNG nor PGM nor BMP") from None
     occupancy = shades if map_file.negate else ~shades
     free = occupancy < map_file.free_thresh * 255
