@@ -1,11 +1,18 @@
 """Tensors that belong together, row by row."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Any, Self
 
 import torch
 from torch import Tensor
+
+
+def scalar(value: float) -> Tensor:
+    """A number to calculate with again and again: an operation with it takes half as long as with a Python number.
+
+    It lives on the CPU, float32 or int64, and goes with tensors on any device.
+    """
+    return torch.tensor(value)
 
 
 class Rows:
@@ -17,9 +24,9 @@ class Rows:
     def map(self, function: Callable[..., Tensor], *others: Self) -> Self:
         """The function's value of every field of these rows and the others."""
         values: dict[str, Any] = {}
-        for field in fields(self):  # type: ignore[arg-type]
-            own, *theirs = (getattr(each, field.name) for each in (self, *others))
-            values[field.name] = own.map(function, *theirs) if isinstance(own, Rows) else function(own, *theirs)
+        for name, own in vars(self).items():
+            theirs = [getattr(each, name) for each in others]
+            values[name] = own.map(function, *theirs) if isinstance(own, Rows) else function(own, *theirs)
         return type(self)(**values)
 
     def __getitem__(self, index: Any) -> Self:

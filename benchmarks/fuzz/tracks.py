@@ -15,8 +15,8 @@ from benchmarks.fuzz.values import change
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle
-from carrl.tracks.builtin import DRAWINGS
 from carrl.tracks.csv_file import COLUMNS
+from carrl.tracks.drawing import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 

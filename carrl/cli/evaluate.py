@@ -13,9 +13,8 @@ from carrl.cli.evaluation_table import print_evaluation
 from carrl.cli.parser import Parser
 from carrl.cli.road_warning import warn_of_roads
 from carrl.errors import ConfigError
-from carrl.evaluation.rollout import Drive, Policy, random_policy, rule_policy, rule_world
-from carrl.evaluation.survey import Survey
-from carrl.evaluation.tally import tally
+from carrl.evaluation.results import Drive, tally
+from carrl.evaluation.rollout import Policy, Survey, random_policy, rule_policy, rule_world
 from carrl.printable import printable
 from carrl.task.world import World
 from carrl.tracks.circuits import Folder, load_folder

@@ -140,11 +140,11 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         state, cars = self._now.state, self._now.state.cars
         return Scene(
             pose=cars.pose.double().numpy()[0],
-            readings=self._readings(),
+            readings=self._readings(self._now),
             next_gate=int(cars.next_gate),
             gates_passed=int(cars.gates_passed),
             step=int(state.step),
-            steer=self._steer(state.last_action),
+            steer=float(self.task.steer(state.last_action)),
             action=self._action_name(state.last_action),
             episode_return=self._return,
             collided=self._collided,
@@ -176,21 +176,15 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             self._window.close()
         self._window = None
 
-    def _readings(self) -> np.ndarray:
+    def _readings(self, now: Begun) -> np.ndarray:
         """What the rays read, [R], in 0..1; the true distances where the driver is not told them."""
-        assert self._now is not None
         begin = 0
         for part in self.task.observation_parts:
             if part.name == "rays":
-                return self._now.observation.double().numpy()[0, begin : begin + part.width]
+                return now.observation.double().numpy()[0, begin : begin + part.width]
             begin += part.width
-        ranges = self.task.simulator.sense(self._now.state.cars)
+        ranges = self.task.simulator.sense(now.state.cars)
         return ranges.double().numpy()[0] / self.task.simulator.sensor.max_range
-
-    def _steer(self, action: torch.Tensor) -> float:
-        """How far the wheel is turned, -1 to 1; 0 for a car that is not steered."""
-        names = self.task.simulator.vehicle.control_names
-        return float(self.task.action.controls(action)[0, names.index("steer")]) if "steer" in names else 0.0
 
     def _action_name(self, action: torch.Tensor) -> str:
         if self.task.action.names:
@@ -209,11 +203,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
 
 def observation_space(task: Task) -> gymnasium.spaces.Box:
     """Of one car."""
-    low, high = (
-        [bound for part in task.observation_parts for bound in [getattr(part, name)] * part.width]
-        for name in ("low", "high")
-    )
-    return gymnasium.spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
+    low, high = task.observation_bounds
+    return gymnasium.spaces.Box(low.numpy(), high.numpy())
 
 
 def check_options(options: Mapping[str, Any], others: Sequence[str] = ("max_episode_steps",)) -> None:

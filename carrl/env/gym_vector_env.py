@@ -130,16 +130,16 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._now is None:
             raise ResetNeeded("call reset before the first step")
         taken = many_actions(actions, self.num_envs, self.task.action)
-        resetting = self._ended
+        before, resetting = self._now, self._ended
         if resetting.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise ResetNeeded(f"car {resetting.argmax()} has ended its episode; reset it with a reset_mask")
-            self._now = self._put(self._now, resetting)  # A car in a wall could not be driven on.
-        after = self.task.step(self._now.state, taken)
+            before = self._put(before, resetting)  # A car in a wall could not be driven on.
+        after = self.task.step(before.state, taken)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             outcome = self._end_in_same_step(after)
         else:
-            outcome = self._end_in_next_step(after, resetting)
+            outcome = self._end_in_next_step(before, after, resetting)
         if self.render_mode == "human":
             self.render()
         return outcome
@@ -173,15 +173,13 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._window.close()
         self._window = None
 
-    def _end_in_next_step(self, after: StepResult, resetting: Bools) -> Step:
-        """What the step brought, but for the cars that it was to put back to the start."""
+    def _end_in_next_step(self, before: Begun, after: StepResult, resetting: Bools) -> Step:
+        """What the step brought, but for the cars that it was to put back to the start, where they were before it."""
         now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
         truncated = self._is_last_step(now)
-        driven = ~resetting
         if resetting.any():
-            assert self._now is not None
-            keep, reset = torch.from_numpy(driven), torch.from_numpy(resetting)
-            now = now.replacing(reset, self._now[reset])
+            keep, reset = torch.from_numpy(~resetting), torch.from_numpy(resetting)
+            now = now.replacing(reset, before[reset])
             terms, terminated, truncated = terms * keep[:, None], terminated & keep, truncated & keep
         self._now = now
         ends = terminated.numpy(), truncated.numpy()

@@ -159,7 +159,7 @@ class TrackEnv(EnvBase):
         if tensordict is None or "_reset" not in tensordict:
             return self._begin(self.task.start())
         wanted = tensordict["_reset"].view(-1)
-        return self._begin(self.task.start(wanted), wanted.nonzero()[:, 0])
+        return self._begin(self.task.start(wanted), wanted)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
@@ -204,12 +204,12 @@ class TrackEnv(EnvBase):
             return ConfigError(f"action of car {car} is {int(action[car])}; it must be {in_words(self.task.action)}")
         return ConfigError(f"{error}; the state is none that this environment returned, so reset the cars")
 
-    def _begin(self, begun: Begun, cars: Tensor | None = None) -> TensorDict:
-        """All cars, or these [K], at the start of an episode, not done; zeros elsewhere."""
+    def _begin(self, begun: Begun, wanted: Tensor | None = None) -> TensorDict:
+        """All cars, or those `wanted`, [N] bool, at the start of an episode, not done; others at anyone's start."""
         values = self._as_dict(begun)
-        if cars is not None:
-            for key, value in values.items():
-                values[key] = value.new_zeros(*self.batch_size, *value.shape[1:]).index_copy_(0, cars, value)
+        if wanted is not None and len(begun.observation) < len(wanted):
+            start_of = (wanted.cumsum(0) - 1).clamp_(min=0)
+            values = {key: value.index_select(0, start_of) for key, value in values.items()}
         values["reward_terms"] = values["observation"].new_zeros(*self.batch_size, len(self.task.reward.term_names))
         for key in ("done", "terminated", "truncated"):
             values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
@@ -220,7 +220,7 @@ class TrackEnv(EnvBase):
         state, cars = now.state, now.state.cars
         return {
             "observation": now.observation,
-            "pose": cars.pose,
+            "pose": cars.pose if self._state_key == "state" else cars.state,
             self._state_key: cars.state,
             "next_gate": cars.next_gate,
             "gates_passed": cars.gates_passed,
@@ -248,10 +248,7 @@ class TrackEnv(EnvBase):
             "step": count.clone(),
             "last_action": task.action.spec.expand(cars, *task.action.spec.shape),
         }
-        low, high = (
-            torch.tensor([bound for part in task.observation_parts for bound in [getattr(part, name)] * part.width])
-            for name in ("low", "high")
-        )
+        low, high = task.observation_bounds
         self.observation_spec = Composite(
             observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
             reward_terms=numbers(len(task.reward.term_names)),

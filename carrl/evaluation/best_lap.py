@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, TrackError
-from carrl.evaluation.rollout import TIME_LIMIT_LAPS, Drive, drive
+from carrl.evaluation.results import Drive
+from carrl.evaluation.rollout import TIME_LIMIT_LAPS, drive
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import DiscreteActions
@@ -138,7 +139,7 @@ class _Search:
         action = torch.arange(len(self.steers), device=parent.device).repeat_interleave(len(front.cost))
         steer = self.steers[action]
         outcome = self.simulator.step(before.cars, self.world.action.controls(action))
-        near_wall = self.world.reward.near_wall.is_near_wall(outcome.ranges / self.simulator.sensor.max_range)
+        near_wall = self.world.reward.near_wall.is_near_wall(self.simulator.sensor.readings(outcome.ranges))
         switched = (before.action >= 0) & (before.action != action)
         cost = before.cost + _TURN * (steer != 0) + _SWITCH * switched + _STEP
         left_turns = before.left_turns + steer

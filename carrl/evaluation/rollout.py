@@ -3,16 +3,15 @@
 Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
+from carrl.evaluation.results import Drive
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import ActionMap, steer3
@@ -20,6 +19,7 @@ from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS
 from carrl.task.task import Task
 from carrl.task.world import World
+from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
 """Observations [B, O] to actions [B, ...]."""
@@ -29,63 +29,8 @@ TIME_LIMIT_LAPS = 2.0
 
 MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
-
-
-@dataclass(frozen=True)
-class Drive:
-    """One car's drive: until the lap is complete, it touches a wall, or the time is up.
-
-    Attributes:
-        start: station of the start, m along the centreline from the start line.
-        lap_completed: all gates passed in order.
-        collided: it touched a wall.
-        progress: share of the lap driven, in [0, 1].
-        lap_reward: sum of the paper's rewards.
-        steering_reward: sum of what turns and switches earn beside it.
-        lap_steps: steps driven.
-        forward_share: share of the steps with the action forward.
-        switches_per_100m: how often the action changed, per 100 m driven.
-        reversals: how often left followed right or right followed left, without a step forward between.
-        near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
-        poses: before each step and after the last, [T + 1, 3].
-        ranges: at each pose, [T + 1, R], m.
-        actions: [T].
-    """
-
-    start: float
-    lap_completed: bool
-    collided: bool
-    progress: float
-    lap_reward: float
-    steering_reward: float
-    lap_steps: int
-    forward_share: float
-    switches_per_100m: float
-    reversals: int
-    near_wall_share: float
-    poses: np.ndarray = field(repr=False)
-    ranges: np.ndarray = field(repr=False)
-    actions: np.ndarray = field(repr=False)
-
-    def measures(self) -> dict[str, Any]:
-        """The figures without the trajectory, ready for JSON."""
-        arrays = ("poses", "ranges", "actions")
-        return {name: value for name, value in vars(self).items() if name not in arrays}
-
-    def state_dict(self) -> dict[str, Any]:
-        """All of it, arrays as tensors."""
-        return {
-            name: torch.as_tensor(value) if isinstance(value, np.ndarray) else value
-            for name, value in vars(self).items()
-        }
-
-    @classmethod
-    def from_state_dict(cls, state: dict[str, Any]) -> "Drive":
-        """What `state_dict` told of."""
-        values: dict[str, Any] = {
-            name: value.numpy() if isinstance(value, Tensor) else value for name, value in state.items()
-        }
-        return cls(**values)
+CARS_AT_ONCE = 256
+"""As many tracks are driven together as this many cars allow, but at least one, so that memory stays bounded."""
 
 
 def rule_world(world: World) -> World:
@@ -133,6 +78,36 @@ def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -
     return rollout(world, simulator, policy, torch.cat(stations), track)
 
 
+class Survey:
+    """Laps of several tracks with the car, sensors and reward of a world.
+
+    Args:
+        world: that says how a car drives; its own tracks do not matter.
+        tracks: to be driven.
+        starts: places on each track, spread evenly from its start line on.
+    """
+
+    def __init__(self, world: World, tracks: Sequence[Track], starts: int) -> None:
+        self._world, self._starts = world, starts
+        together = max(1, CARS_AT_ONCE // max(1, starts))
+        groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
+        self._simulators = [world.simulator(group) for group in groups]
+
+    def drive(self, policy: Policy, world: World | None = None) -> list[list[Drive]]:
+        """The drives of each track; a policy that sees something else needs a world of its own, with the same car.
+
+        Raises:
+            ConfigError: fewer than one start place.
+        """
+        return list(self._drives(policy, world or self._world))
+
+    def _drives(self, policy: Policy, world: World) -> Iterator[list[Drive]]:
+        for simulator in self._simulators:
+            drives = drive(world, simulator, policy, self._starts)
+            for begin in range(0, len(drives), self._starts):
+                yield drives[begin : begin + self._starts]
+
+
 @dataclass(frozen=True)
 class _Moment(Rows):
     """What is kept of each moment of a rollout, [B, ...]; of several moments [T, B, ...]."""
@@ -142,7 +117,6 @@ class _Moment(Rows):
     collided: Tensor
     reward_terms: Tensor
     action: Tensor
-    control: Tensor
 
 
 def rollout(
@@ -175,9 +149,8 @@ def rollout(
         action = policy(observation)
         after = task.step(state, action)
         state, observation = after.state, after.observation
-        control = task.action.controls(action)
         outcome = after.outcome
-        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, after.reward_terms, action, control))
+        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, after.reward_terms, action))
         driving &= ~(outcome.collided | simulator.has_lapped(outcome.cars)) & (step < limits)
         if not driving.any():
             break
@@ -187,7 +160,7 @@ def rollout(
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
     nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
-    return _Moment(cars, task.simulator.sense(cars), nothing, terms, action, task.action.controls(action))
+    return _Moment(cars, task.simulator.sense(cars), nothing, terms, action)
 
 
 def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
@@ -213,9 +186,9 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
     ended = course.collided | simulator.has_lapped(course.cars)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
-    near = reward.near_wall.is_near_wall(course.ranges[1:] / simulator.sensor.max_range)
+    near = reward.near_wall.is_near_wall(simulator.sensor.readings(course.ranges[1:]))
     lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
-    steer = _steer(course.control, simulator.vehicle.control_names)
+    steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
     progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
@@ -240,8 +213,3 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
             )
         )
     return drives
-
-
-def _steer(control: Tensor, names: Sequence[str]) -> Tensor:
-    """The control `steer` of these [..., C]: [...]; 0 for a car that is not steered."""
-    return control[..., names.index("steer")] if "steer" in names else torch.zeros_like(control[..., 0])

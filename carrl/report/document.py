@@ -5,7 +5,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from carrl.evaluation.rollout import Drive
+from carrl.evaluation.results import Drive
 from carrl.report.comparison import SIGNIFICANCE, Comparison
 from carrl.report.findings import Findings, GroupFigure, lapped
 from carrl.report.groups import Group

@@ -4,7 +4,7 @@ import math
 
 from carrl.errors import ConfigError
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.rollout import Drive
+from carrl.evaluation.results import Drive
 from carrl.report.reading import RunResult
 from carrl.report.summary_file import missing_lap
 from carrl.report.tables import markdown

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from carrl.evaluation.rollout import Drive
+from carrl.evaluation.results import Drive
 from carrl.printable import printable
 from carrl.report.comparison import SIGNIFICANCE, Comparison, written_p
 from carrl.report.findings import Findings, GroupFigure, lapped

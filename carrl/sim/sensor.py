@@ -5,12 +5,14 @@ Shapes: `B` cars, `R` rays.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from carrl.config import is_whole_number
 from carrl.errors import ConfigError
+from carrl.rows import scalar
 
 MOST_RAYS = 4096
 """Far more than any scanner has; a batch of so many readings still fits into memory."""
@@ -59,6 +61,14 @@ class Sensor:
     def is_exact(self) -> bool:
         """Whether it always finds the true distances."""
         return self.noise == 0 and self.dropout == 0
+
+    def readings(self, ranges: Tensor) -> Tensor:
+        """Distances [..., R], m, as shares of the range, in 0..1."""
+        return ranges / self._range
+
+    @cached_property
+    def _range(self) -> Tensor:
+        return scalar(float(self.max_range))
 
     def err(self, ranges: Tensor, errors: Tensor, chances: Tensor) -> Tensor:
         """The distances that the sensor finds instead of the true ones.

@@ -6,7 +6,7 @@ Shapes: `B` cars, `R` rays, `T` tracks, `G` gates. Lengths are in metres, angles
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -110,12 +110,24 @@ class Simulator:
         reach = max(sensor.max_range, touch)
         terrain = Terrain.join([Plot.of_track(each, reach) for each in self.tracks], reach, touch)
         self.terrain = Terrain(*(tensor.to(device) for tensor in terrain))
-        self.routes = Routes(self.tracks)
+        self.routes = Routes([each.road for each in self.tracks], [each.gate_count for each in self.tracks])
         self.gate_counts = self.terrain.first_gate.diff()
         self.sensor_angles = sensor.angles.to(device)
         self._most_walls = terrain.longest_list
         self._most_gates_per_step = max(_most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle, with the machine code to be loaded again.
+
+        Multiprocessing moves a tensor's memory to hand it over, and what NumPy sees of it is then no longer its own.
+        """
+        return vars(self) | {"_kernels": self._kernels is not None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """From what `__getstate__` told of."""
+        vars(self).update(state)
+        self._kernels = self._load_kernels() if state["_kernels"] else None
 
     @property
     def track(self) -> Track:
@@ -224,7 +236,9 @@ class Simulator:
 
     def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
         """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""
-        left, right = (self.routes.room(track, stations) - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0).T
+        left, right = (
+            (self.routes.clearance(track, stations) - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0).T
+        )
         shift = torch.where(offset > 0, left, right) * offset
         return shift[:, None] * torch.stack([-heading.sin(), heading.cos()], dim=-1)
 

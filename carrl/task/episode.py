@@ -72,7 +72,7 @@ class StepContext:
     @cached_property
     def readings(self) -> Tensor:
         """True distance along each ray after the step / range, [N, R], in 0..1, whatever the sensor reads."""
-        return self.outcome.ranges / self.simulator.sensor.max_range
+        return self.simulator.sensor.readings(self.outcome.ranges)
 
     def control(self, name: str) -> Tensor:
         """One control of the step by its name, [N], in [-1, 1].

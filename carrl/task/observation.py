@@ -54,10 +54,10 @@ class Rays:
         """With the sensor's noise and dropout, drawn from the cars' own streams; an exact one draws nothing."""
         sensor, ranges, streams, wanted = moment.simulator.sensor, moment.ranges, moment.streams, moment.wanted
         if sensor.is_exact:
-            return ranges / sensor.max_range
+            return sensor.readings(ranges)
         draws = streams.normal(sensor.rays, wanted=wanted), streams.uniform(sensor.rays, wanted=wanted)
         errors, chances = (draw if wanted is None else draw[wanted] for draw in draws)
-        return sensor.err(ranges, errors.to(ranges), chances.to(ranges)) / sensor.max_range
+        return sensor.readings(sensor.err(ranges, errors.to(ranges), chances.to(ranges)))
 
 
 @dataclass(frozen=True)

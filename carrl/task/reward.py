@@ -8,12 +8,14 @@ Source: "Simulation-based Self-driving Car using Reinforcement Learning", sectio
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
+from carrl.rows import scalar
 from carrl.task.checks import number
 from carrl.task.episode import StepContext
 
@@ -29,13 +31,23 @@ class RewardTerm(Protocol):
         """What the step earns, [N], float32."""
 
 
-class _Weighted:
-    """Refuses weights that are no finite numbers."""
+class _Term:
+    """Refuses values that are no finite numbers."""
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a value that is no finite number."""
         for name, value in vars(self).items():
             number(f"reward: {name} of {type(self).__name__}", value, -_MOST, _MOST, "a finite number")
+
+
+class _Weighted(_Term):
+    """A term with one weight."""
+
+    weight: float
+
+    @cached_property
+    def _weight(self) -> Tensor:
+        return scalar(float(self.weight))
 
 
 @dataclass(frozen=True)
@@ -50,7 +62,7 @@ class Collision(_Weighted):
 
     def __call__(self, step: StepContext) -> Tensor:
         """The weight where the body touched a wall."""
-        return step.outcome.collided * self.weight
+        return step.outcome.collided * self._weight
 
 
 @dataclass(frozen=True)
@@ -65,14 +77,18 @@ class Proximity(_Weighted):
     weight: float = -20.0
     threshold: float = 0.1
 
+    @cached_property
+    def _threshold(self) -> Tensor:
+        return scalar(float(self.threshold))
+
     def is_near_wall(self, readings: Tensor) -> Tensor:
         """Whether any of the readings [..., R] in 0..1 lies below the threshold: [...], bool."""
-        return readings.amin(dim=-1) < self.threshold
+        return readings.amin(dim=-1) < self._threshold
 
     def __call__(self, step: StepContext) -> Tensor:
         """The weight where the car is near a wall after the step."""
-        nearest = step.outcome.ranges.amin(dim=-1) / step.simulator.sensor.max_range  # one division a car, not a ray
-        return ((nearest < self.threshold) & ~step.outcome.collided) * self.weight
+        nearest = step.simulator.sensor.readings(step.outcome.ranges.amin(dim=-1))  # one division a car, not a ray
+        return ((nearest < self._threshold) > step.outcome.collided) * self._weight  # near, and has not collided
 
 
 @dataclass(frozen=True)
@@ -87,11 +103,11 @@ class Gate(_Weighted):
 
     def __call__(self, step: StepContext) -> Tensor:
         """The weight for each gate passed in the step."""
-        return step.outcome.gates_passed * self.weight
+        return step.outcome.gates_passed * self._weight
 
 
 @dataclass(frozen=True)
-class Steering(_Weighted):
+class Steering(_Term):
     """For turning the wheel; not the paper's.
 
     Attributes:
@@ -111,7 +127,7 @@ class Steering(_Weighted):
 
 
 @dataclass(frozen=True)
-class Shaping(_Weighted):
+class Shaping(_Term):
     """For coming closer to the next gate; not the paper's.
 
     The potential of a state is -approach * distance, that of the end of an episode 0, and a step earns discount *

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
-from carrl.rows import Rows
+from carrl.rows import Rows, scalar
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.vehicle import Vehicle, VehicleModel
@@ -109,6 +109,7 @@ class Task:
         readings = self.cars * simulator.sensor.rays
         if readings > MOST_READINGS:
             raise ConfigError(f"env.num_envs is {cars}; it must be so few that {readings} rays become {MOST_READINGS}")
+        self._one, self._most_steps = scalar(1), scalar(self.max_steps)
         self.streams = RandomStreams(seeds, cars)
         self._sampler = StartSampler(start or Start(), simulator, cars, len(seeds))
 
@@ -116,6 +117,14 @@ class Task:
     def observation_parts(self) -> tuple[Part, ...]:
         """Where each term stands in an observation."""
         return self.observation.parts(self.simulator.sensor, self.action)
+
+    @property
+    def observation_bounds(self) -> tuple[Tensor, Tensor]:
+        """The least and the largest value of each entry of an observation, [O] and [O], float32."""
+        parts = self.observation_parts
+        widths = torch.tensor([part.width for part in parts])
+        low, high = (torch.tensor(bounds) for bounds in zip(*((part.low, part.high) for part in parts), strict=True))
+        return low.repeat_interleave(widths), high.repeat_interleave(widths)
 
     @property
     def starts_alike(self) -> bool:
@@ -145,10 +154,15 @@ class Task:
         """
         outcome = self.simulator.step(state.cars, self.action.controls(action))
         terms = self.reward(StepContext(state, action, outcome, self.simulator, self.action))
-        after = EpisodeState(outcome.cars, state.step + 1, action)
-        truncated = (after.step >= self.max_steps) & ~outcome.collided
+        after = EpisodeState(outcome.cars, state.step + self._one, action)
+        truncated = (after.step >= self._most_steps) > outcome.collided  # the one without the other
         observation = self._observe(after, outcome.ranges)
         return StepResult(after, observation, terms, outcome.collided, truncated, outcome)
+
+    def steer(self, action: Tensor) -> Tensor:
+        """How far actions [N] or [N, C] turn the wheel, [N], -1 to 1; 0 for a car that is not steered."""
+        controls, names = self.action.controls(action), self.simulator.vehicle.control_names
+        return controls[:, names.index("steer")] if "steer" in names else torch.zeros_like(controls[:, 0])
 
     def random_action(self) -> Tensor:
         """An action for every car, drawn evenly from the cars' own streams."""

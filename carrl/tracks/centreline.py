@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MAX_FILE_BYTES = 16 * 2**20
+"""Of a track's file."""
 MIN_POINTS = 3
 MOST_POINTS = 100_000
 MIN_STEP = 0.01
@@ -19,6 +21,33 @@ degrees at Shanghai), and less than a spike, whose mitre would have no end."""
 LONGEST_GAP, LONGEST_STEP = 5.0, 1.5
 """From the last point of a closed line to its first, in longest other steps. Of 205 real circuits it is at most 2.1; of
 a line that is not closed it was 21. Where the road crosses itself, the second one is enough to blame the gap."""
+
+
+@dataclass(frozen=True)
+class Road:
+    """What a track's file gives: a closed road between two walls, in driving order.
+
+    Attributes:
+        centre: of the road, [P, 2], m.
+        left: the left wall beside each of its points, [P, 2], m.
+        right: the right wall, [P, 2], m.
+        repeats: how many points were left out, since they repeated the one before.
+        gates: how many, or None.
+        gate_spacing: about how far they stand apart, m, or None.
+        name: of the circuit, where its file has many.
+        notes: how its file was read, where there was a choice; a phrase for each.
+        reference: the line that its file proposes to drive, in driving order, [N, 2], m; or None.
+    """
+
+    centre: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    repeats: int = 0
+    gates: int | None = None
+    gate_spacing: float | None = None
+    name: str | None = None
+    notes: tuple[str, ...] = ()
+    reference: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +76,10 @@ class Centreline:
         _mitre(self.points, left, self.width_left)
         _mitre(self.points, right, -self.width_right)
         return left, right
+
+    def road(self, gates: int | None = None, gate_spacing: float | None = None) -> Road:
+        """The road between these walls."""
+        return Road(self.points, *self.walls(), self.repeats, gates, gate_spacing)
 
 
 def normals(points: np.ndarray) -> np.ndarray:

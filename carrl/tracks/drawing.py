@@ -1,12 +1,17 @@
-"""Closed lines drawn by hand: a polygon whose corners are rounded, or a smooth curve through points.
+"""Closed lines drawn by hand, as rounded polygons or smooth curves, and the tracks that come with CarRL.
 
 Shapes: `P` points of the line, `N` corners or points that a person gave.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from shapely import LinearRing, Point, Polygon
 from shapely.geometry.polygon import orient
+
+from carrl.errors import TrackError
+from carrl.tracks.centreline import Centreline
 
 _SAMPLES_PER_SPAN = 32
 
@@ -65,3 +70,53 @@ def _resample(samples: np.ndarray, point_spacing: float) -> np.ndarray:
     count = max(3, round(stations[-1] / point_spacing))
     even = np.arange(count) * stations[-1] / count
     return np.stack([np.interp(even, stations, column) for column in closed.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A circuit as a person would sketch it, driven counter-clockwise.
+
+    Attributes:
+        corners: of the polygon, m. The start line is half-way between the first two.
+        corner_radius: least radius of the centreline, m, in turns to either side.
+        width: from wall to wall, m.
+        gate_count: evenly spaced, the last one on the start line.
+        point_spacing: about how far the centreline's points stand apart, m.
+    """
+
+    corners: tuple[tuple[float, float], ...]
+    corner_radius: float
+    width: float
+    gate_count: int
+    point_spacing: float = 2.0
+
+    def centreline(self) -> Centreline:
+        """The rounded polygon as a centreline of evenly spaced points."""
+        points = rounded_polygon(np.array(self.corners), self.corner_radius, self.point_spacing)
+        if points is None:
+            raise TrackError(f"a track has no room for corners of radius {self.corner_radius} m")
+        half_width = np.full(len(points), self.width / 2)
+        return Centreline(points=points, width_right=half_width, width_left=half_width)
+
+
+DRAWINGS = {
+    "oval": Drawing(
+        corners=((-20, 0), (60, 0), (60, 40), (-20, 40)),
+        corner_radius=16.0,
+        width=10.0,
+        gate_count=8,
+    ),
+    "paper": Drawing(
+        corners=((-20, 0), (44, 0), (48, 28), (20, 24), (16, 36), (24, 54), (4, 64), (-16, 54), (-6, 30), (-24, 22)),
+        corner_radius=9.0,
+        width=8.0,
+        gate_count=8,
+    ),
+    "serpentine": Drawing(
+        corners=((-22, 0), (66, 0), (66, 17), (26, 17), (26, 34), (66, 34), (66, 54), (8, 54), (8, 22), (-22, 22)),
+        corner_radius=7.9,
+        width=6.5,
+        gate_count=12,
+    ),
+}
+"""The built-in tracks, easiest first."""

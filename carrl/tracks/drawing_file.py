@@ -11,10 +11,18 @@ import numpy as np
 from shapely import LinearRing, Polygon
 
 from carrl.errors import TrackError, shown
+from carrl.files import read_whole
 from carrl.plain_yaml import parse_yaml
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, repeated_point, without_repeats
+from carrl.tracks.centreline import (
+    MAX_COORDINATE,
+    MIN_POINTS,
+    MIN_STEP,
+    Centreline,
+    Road,
+    repeated_point,
+    without_repeats,
+)
 from carrl.tracks.drawing import rounded_polygon, smooth_curve
-from carrl.tracks.file_content import read_content
 
 MAX_YAML_BYTES = 2**18
 """About 10,000 points."""
@@ -28,22 +36,7 @@ CORNER_KEYS = ("corners", "corner_radius", "width", "gates", "gate_spacing")
 POINT_KEYS = ("points", "width", "smooth", "gates", "gate_spacing")
 
 
-@dataclass(frozen=True)
-class DrawingFile:
-    """What a YAML file draws.
-
-    Attributes:
-        centreline: of the road.
-        gates: how many, or None.
-        gate_spacing: about how far they stand apart, m, or None.
-    """
-
-    centreline: Centreline
-    gates: int | None
-    gate_spacing: float | None
-
-
-def read_drawing(path: Path) -> DrawingFile:
+def read_drawing(path: Path) -> Road:
     """Reads a track given by `corners`, `corner_radius` and `width`, or by `points`.
 
     Raises:
@@ -59,13 +52,9 @@ class _Reader:
     path: Path
     values: dict[str, Any]
 
-    def drawing(self) -> DrawingFile:
+    def drawing(self) -> Road:
         """What the file draws."""
         forms = [key for key in ("corners", "points") if key in self.values]
-        if not forms and {"image", "resolution"} <= self.values.keys():
-            raise self._error(
-                "this is a map of ROS, a picture without a centreline; CarRL reads .csv, .npy and drawings"
-            )
         if len(forms) != 1:
             raise self._error(f"it has {' and '.join(forms) or 'neither'}; it must have one of corners and points")
         keys = CORNER_KEYS if forms == ["corners"] else POINT_KEYS
@@ -78,7 +67,7 @@ class _Reader:
         if repeated_point(centreline.points) is not None:
             raise self._error(f"the road is too small to be drawn, or turns back on itself; enlarge its {forms[0]}")
         spacing = self._number("gate_spacing", least=MIN_GATE_SPACING) if "gate_spacing" in self.values else None
-        return DrawingFile(centreline, self._gates(LinearRing(centreline.points).length), spacing)
+        return centreline.road(self._gates(LinearRing(centreline.points).length), spacing)
 
     def _polygon(self) -> Centreline:
         corners, repeats = self._table("corners", (2,), "[x, y]")
@@ -100,18 +89,24 @@ class _Reader:
             raise self._error(f"smooth is {shown(smooth)}; it must be true or false")
         if "width" in self.values:
             table, repeats = self._table("points", (2,), "[x, y], since width is given")
-            table = np.column_stack([table, np.full(len(table), self._number("width"))])
+            table = np.column_stack([table, np.full((len(table), 2), self._number("width") / 2)])
         else:
-            table, repeats = self._table("points", (3,), "[x, y, width], or width must be given beside them")
-            bad = np.flatnonzero(table[:, 2] <= 0)
+            form = "[x, y, width] or [x, y, right, left], or width must be given beside them"
+            table, repeats = self._table("points", (3, 4), form)
+            bad = np.argwhere(table[:, 2:] <= 0)
             if len(bad) > 0:
-                raise self._error(f"points: row {bad[0] + 1}: width is {table[bad[0], 2]:g} m; widths must be positive")
-        spacing = self._spacing(table[:, :2], float(table[:, 2].min()))
+                row, column = bad[0].tolist()
+                raise self._error(
+                    f"points: row {row + 1}: width is {table[row, 2 + column]:g} m; widths must be positive"
+                )
+        if table.shape[1] == 3:
+            table = np.column_stack([table[:, :2], table[:, 2] / 2, table[:, 2] / 2])
+        spacing = self._spacing(table[:, :2], float((table[:, 2] + table[:, 3]).min()))
         if smooth:
-            widths = table[:, 2]
+            widths = table[:, 2:]
             table = smooth_curve(table, spacing)
-            table[:, 2] = table[:, 2].clip(widths.min(), widths.max())  # The curve through the widths may overshoot.
-        return Centreline(table[:, :2], *_half_widths(table[:, 2]), repeats)
+            table[:, 2:] = table[:, 2:].clip(widths.min(axis=0), widths.max(axis=0))  # The curve may overshoot.
+        return Centreline(table[:, :2], table[:, 2], table[:, 3], repeats)
 
     def _spacing(self, points: np.ndarray, detail: float) -> float:
         """Distance between the centreline's points that shows details of this size, m."""
@@ -130,9 +125,9 @@ class _Reader:
         if not isinstance(rows, list):
             raise self._error(f"{key} is {shown(rows)}; it must be a list with a row {form} for each")
         for number, row in enumerate(rows, start=1):
-            if not isinstance(row, list) or len(row) not in columns:
+            if not isinstance(row, list) or len(row) not in columns or len(row) != len(rows[0]):
                 raise self._error(f"{key}: row {number} is {shown(row)}; it must be {form}")
-            for name, value in zip(("x", "y", "width"), row, strict=False):
+            for name, value in zip(("x", "y", "width", "left width"), row, strict=False):
                 self._check_number(f"{key}: row {number}: {name}", value)
         table, repeats = without_repeats(np.array(rows, dtype=np.float64))
         if len(table) < MIN_POINTS:
@@ -170,7 +165,7 @@ class _Reader:
 def _read_mapping(path: Path) -> dict[str, Any]:
     name = f"track '{path.name}'"
     try:
-        values = parse_yaml(read_content(path, MAX_YAML_BYTES))
+        values = parse_yaml(read_whole(path, MAX_YAML_BYTES, name, TrackError))
     except ValueError as error:
         raise TrackError(f"{name}: {error}") from None
     if values is None:

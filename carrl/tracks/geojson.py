@@ -5,23 +5,23 @@ Shapes: `P` points of a line. Latitudes and longitudes are those of WGS 84.
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from carrl.errors import TrackError, shown
-from carrl.files import write_whole
+from carrl.files import read_whole, write_whole
 from carrl.tracks.centreline import (
     LONGEST_STEP,
     MAX_COORDINATE,
     MIN_POINTS,
     Centreline,
+    Road,
     without_repeats,
 )
 from carrl.tracks.drawing import smooth_curve
-from carrl.tracks.file_content import read_content
-from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
 
 MAX_JSON_BYTES = 4 * 2**20
 """The 40 circuits of bacinger/f1-circuits have 0.2 MiB."""
@@ -48,24 +48,15 @@ class _Circuit(NamedTuple):
     degrees: np.ndarray
 
 
-def read(
-    path: Path,
-    gate_spacing: float | None = None,
-    width: float | None = None,
-    reverse: bool = False,
-    circuit: str | None = None,
-) -> list[Track]:
-    """Reads all circuits of a file, each on a plane that touches the earth in its middle, x to the east.
+def read(path: Path, width: float | None = None) -> list[Road]:
+    """The roads of all circuits of a file, each on a plane that touches the earth in its middle, x to the east.
 
     A file has no widths, unless `write` wrote it: then `width_left` and `width_right` are properties of its line, from
     point to point, and the line is taken as it is; otherwise a curve is laid through the points.
 
     Args:
         path: of the file.
-        gate_spacing: about how far the gates stand apart, m.
         width: of the road, m; None for that of the file or else `DEFAULT_WIDTH`.
-        reverse: whether to drive against the direction of the line.
-        circuit: the id or name of the only one that is wanted, if the file has many.
 
     Raises:
         TrackError: the file is no GeoJSON of lines in degrees, or one of them is no road.
@@ -73,17 +64,7 @@ def read(
     if width is not None and not (_is_number(width) and 0 < width <= MAX_COORDINATE):
         raise TrackError(f"track '{path.name}': width is {shown(width)}; it must be a positive number of metres")
     circuits = _circuits(path)
-    if circuit is not None:
-        circuits = [each for each in circuits if circuit in (each.name, *map(each.properties.get, NAMES))]
-        if not circuits:
-            names = ", ".join(each.name for each in _circuits(path))
-            raise TrackError(f"track '{path.name}': there is no circuit {shown(circuit)}; there is {names[:1000]}")
-    tracks = []
-    for each in circuits:
-        name = path.name if len(circuits) == 1 and circuit is None else f"{path.name}/{each.name}"
-        track = Track.from_centreline(name, _centreline(path, each, width), gate_spacing or DEFAULT_GATE_SPACING)
-        tracks.append(track.reversed() if reverse else track)
-    return tracks
+    return [_road(path, each, width, None if len(circuits) == 1 else each.name) for each in circuits]
 
 
 def write(path: Path, centreline: Centreline) -> None:
@@ -106,7 +87,7 @@ def write(path: Path, centreline: Centreline) -> None:
 def _circuits(path: Path) -> list[_Circuit]:
     """The lines of a file; its points, such as those of places, are left out."""
     try:
-        document = json.loads(read_content(path, MAX_JSON_BYTES).decode("utf-8-sig"))
+        document = json.loads(read_whole(path, MAX_JSON_BYTES, f"track '{path.name}'", TrackError).decode("utf-8-sig"))
     except (ValueError, RecursionError):
         raise TrackError(f"track '{path.name}': this is not a JSON text file") from None
     kind = document.get("type") if isinstance(document, dict) else None
@@ -146,7 +127,7 @@ def _degrees(path: Path, name: str, coordinates: Any) -> np.ndarray:
     return np.array([position[:2] for position in coordinates], dtype=np.float64)
 
 
-def _centreline(path: Path, circuit: _Circuit, width: float | None) -> Centreline:
+def _road(path: Path, circuit: _Circuit, width: float | None, name: str | None) -> Road:
     """The road on a plane, m."""
     properties = circuit.properties
     origin = properties.get("origin")
@@ -161,6 +142,7 @@ def _centreline(path: Path, circuit: _Circuit, width: float | None) -> Centrelin
     as_drawn = left is not None and right is not None
     if left is None or right is None or width is not None:
         left = right = np.full(len(points), (width or DEFAULT_WIDTH) / 2)
+    notes = () if as_drawn or width else (f"no widths, so {DEFAULT_WIDTH:g} m unless track.width says otherwise",)
     table, repeats = without_repeats(np.column_stack([points, left, right]))
     if len(table) < MIN_POINTS:
         raise _error(path, circuit.name, f"{len(table)} points; a closed road needs at least {MIN_POINTS}")
@@ -170,7 +152,8 @@ def _centreline(path: Path, circuit: _Circuit, width: float | None) -> Centrelin
         raise _error(path, circuit.name, f"the line ends {gap:.0f} m from where it begins; draw it all the way round")
     if not as_drawn:
         table = _curve(path, circuit.name, table)
-    return Centreline(points=table[:, :2], width_left=table[:, 2], width_right=table[:, 3], repeats=repeats)
+    line = Centreline(points=table[:, :2], width_left=table[:, 2], width_right=table[:, 3], repeats=repeats)
+    return replace(line.road(), name=name, notes=notes)
 
 
 def _curve(path: Path, name: str, table: np.ndarray) -> np.ndarray:

@@ -5,18 +5,15 @@ Shapes: `P` points of the centreline, `S` walls, `G` gates, `K` pairs. A *statio
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import shapely
+from torch import Tensor
 
 from carrl.tracks.bridges import Bridge, on_two_levels
 from carrl.tracks.centreline import gap_of, normals, segment_normals, turns
-from carrl.tracks.crossings import find_crossings
-from carrl.tracks.folds import count_folds
-
-if TYPE_CHECKING:
-    from carrl.tracks.track import Track
+from carrl.tracks.crossings import count_folds, find_crossings
 
 BODY_RADIUS = 0.5
 """Of the car that must fit through, m; that of the default vehicle."""
@@ -29,6 +26,35 @@ _CORNER = math.radians(20)
 """A turn at one point from which on the road is measured on both sides of it, rad."""
 _GATE_END = 0.02
 """A gate begins and ends on walls, so this share at both its ends does not count as crossing them."""
+
+
+class _Track(Protocol):
+    """What is looked at of a `Track`, which is defined in a module that uses this one."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def length(self) -> float: ...
+    @property
+    def centreline(self) -> Tensor: ...
+    @property
+    def left_wall(self) -> Tensor: ...
+    @property
+    def right_wall(self) -> Tensor: ...
+    @property
+    def walls(self) -> Tensor: ...
+    @property
+    def wall_stations(self) -> Tensor: ...
+    @property
+    def gates(self) -> Tensor: ...
+    @property
+    def gate_stations(self) -> Tensor: ...
+    @property
+    def gate_count(self) -> int: ...
+    @property
+    def bridges(self) -> tuple[Bridge, ...]: ...
+    @property
+    def repeats(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -66,7 +92,7 @@ class TrackReport:
     faults: tuple[str, ...]
 
 
-def inspect_track(track: "Track", body_radius: float = BODY_RADIUS) -> TrackReport:
+def inspect_track(track: _Track, body_radius: float = BODY_RADIUS) -> TrackReport:
     """Measures a track and lists its faults.
 
     Args:
@@ -115,7 +141,7 @@ def _radius(curvature: float) -> float | None:
     return 1 / float(curvature) if curvature > 1e-4 else None
 
 
-def _find_faults(track: "Track", widths: np.ndarray, body_radius: float) -> list[str]:
+def _find_faults(track: _Track, widths: np.ndarray, body_radius: float) -> list[str]:
     lines = _Lines(track)
     gap = gap_of(track.centreline.double().numpy())
     faults = [] if gap is None else [gap]
@@ -138,7 +164,7 @@ class _Lines:
     Each answer is a list of pairs of stations, without those that a bridge keeps apart.
     """
 
-    def __init__(self, track: "Track") -> None:
+    def __init__(self, track: _Track) -> None:
         self._track = track
         self._ends = track.walls.double().numpy()
         self._walls = shapely.linestrings(self._ends)

@@ -13,9 +13,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from carrl.errors import TrackError, shown
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, drop_closing_point, without_repeats
+from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, Road, drop_closing_point, without_repeats
 from carrl.tracks.reference_line import Piece
-from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
 from carrl.tracks.xml_file import read_xml
 
 DRIVEN = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane")
@@ -30,16 +29,8 @@ MAX_NUMBER = 1e8
 """Of coordinates as they are in a file, m, which may be those of a whole country's grid."""
 
 
-def read(
-    path: Path, gate_spacing: float | None = None, reverse: bool = False, circuit: str | None = None
-) -> list[Track]:
-    """Reads the circuits of a file, in the direction of traffic; heights and banking are left out.
-
-    Args:
-        path: of the `.xodr` or `.xml` file.
-        gate_spacing: about how far the gates stand apart, m.
-        reverse: whether to drive against the traffic.
-        circuit: the id of a road of the only circuit that is wanted, if the file has many.
+def read(path: Path) -> list[Road]:
+    """The circuits of a file, in the direction of traffic; heights and banking are left out.
 
     Raises:
         TrackError: the file is no OpenDRIVE, or has no circuit.
@@ -48,17 +39,7 @@ def read(
     if root.tag != "OpenDRIVE":
         raise TrackError(f"track '{path.name}': this is no OpenDRIVE: its outermost element is {shown(root.tag)}")
     rings = _rings(path, [_Road(path, element) for element in root.iterfind("road")])
-    if circuit is not None:
-        rings = [ring for ring in rings if any(road.id == circuit for road, _ in ring)]
-        if not rings:
-            raise TrackError(f"track '{path.name}': road {shown(circuit)} is in none of its circuits")
-    tracks = []
-    for ring in rings:
-        name = path.name if len(rings) == 1 else f"{path.name}/{ring[0][0].id}"
-        centre, left, right = _edges(path, ring)
-        track = Track.from_walls(name, centre, left, right, gate_spacing or DEFAULT_GATE_SPACING)
-        tracks.append(track.reversed() if reverse != ring[0][0].runs_back else track)
-    return tracks
+    return [_road(path, ring, None if len(rings) == 1 else ring[0][0].id) for ring in rings]
 
 
 class _Link(NamedTuple):
@@ -124,8 +105,8 @@ def _follow(start: "_Road", of_id: dict[str, "_Road"], used: set[str]) -> tuple[
         way.append((of_id[link.id], link.at_start))
 
 
-def _edges(path: Path, ring: Ring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middle, left and right edge of the road of a ring, [P, 2] each, m."""
+def _road(path: Path, ring: Ring, name: str | None) -> Road:
+    """The road between the edges of the lanes of a ring."""
     length, count, parts = 0.0, 0, []
     for road, forwards in ring:
         length, count = length + road.length, count + road.parts
@@ -140,13 +121,15 @@ def _edges(path: Path, ring: Ring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if gap > max(WIDEST_GAP, math.dist(*part[-1]) / 2, math.dist(*following[0]) / 2):
             raise TrackError(f"track '{path.name}': a road ends {gap:.2f} m from where the next one begins")
     left, right = np.concatenate([part[:-1] for part in parts]).transpose(1, 0, 2)
-    rows, _ = without_repeats(drop_closing_point(np.column_stack([(left + right) / 2, left, right])))
+    if ring[0][0].runs_back:
+        left, right = np.roll(right[::-1], 1, axis=0), np.roll(left[::-1], 1, axis=0)
+    rows, repeats = without_repeats(drop_closing_point(np.column_stack([(left + right) / 2, left, right])))
     far = float(np.abs(rows).max())
     if far > MAX_COORDINATE:
         rows = rows - np.tile(np.round(rows[0, :2]), 3)
     if not MIN_POINTS <= len(rows) <= MOST_POINTS or np.abs(rows).max() > MAX_COORDINATE:
         raise TrackError(f"track '{path.name}': the road is too small or too large to be drawn")
-    return rows[:, 0:2], rows[:, 2:4], rows[:, 4:6]
+    return Road(rows[:, 0:2], rows[:, 2:4], rows[:, 4:6], repeats, name=name)
 
 
 class _Road:

@@ -13,9 +13,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from carrl.errors import TrackError, shown
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, drop_closing_point, without_repeats
+from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MOST_POINTS, Road, drop_closing_point, without_repeats
 from carrl.tracks.reference_line import Piece
-from carrl.tracks.track import DEFAULT_GATE_SPACING, Track
 from carrl.tracks.xml_file import read_xml
 
 UNITS = {
@@ -32,36 +31,20 @@ MOST_STRETCHES, MOST_STEPS = 20_000, 1000
 WALLS = ("road", "barriers")
 
 
-def read(path: Path, gate_spacing: float | None = None, walls: str = "road", reverse: bool = False) -> list[Track]:
-    """Reads the one track of a file; its segments' heights and banking are left out, and so are the pits.
+def read(path: Path, walls: str = WALLS[0]) -> Road:
+    """The road of a track; heights and banking are left out, and so are the pits.
 
     Args:
         path: of the XML file.
-        gate_spacing: about how far the gates stand apart, m.
         walls: `road` for walls at the edges of the road, which TORCS's `track` sensors see; `barriers` for those that
             stop a car there, beyond grass and sand.
-        reverse: whether to drive it the other way.
 
     Raises:
         TrackError: the file is no such track, or its road does not come back to its start.
     """
     if walls not in WALLS:
         raise TrackError(f"track '{path.name}': walls is {shown(walls)}; it must be {' or '.join(WALLS)}")
-    road = _Reader(path, read_xml(path)).road(walls == "barriers")
-    to_left = np.stack([-np.sin(road.headings), np.cos(road.headings)], axis=1)
-    left = road.points + to_left * road.left[:, None]
-    right = road.points - to_left * road.right[:, None]
-    track = Track.from_walls(path.name, road.points, left, right, gate_spacing or DEFAULT_GATE_SPACING)
-    return [track.reversed() if reverse else track]
-
-
-class _Road(NamedTuple):
-    """The centreline's points, [P, 2], m, the headings there, [P], rad, and how far the walls are, [P] each, m."""
-
-    points: np.ndarray
-    headings: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
+    return _Reader(path, read_xml(path)).road(walls == "barriers")
 
 
 class _Stretch(NamedTuple):
@@ -135,7 +118,7 @@ class _Reader:
     path: Path
     root: Element
 
-    def road(self, with_sides: bool) -> _Road:
+    def road(self, with_sides: bool) -> Road:
         """The whole road from its start line on, its walls at its edges or beyond what lies beside it."""
         stretches = list(self._stretches(with_sides))
         rows = np.concatenate(list(_drawn(stretches)))
@@ -148,10 +131,12 @@ class _Reader:
             )
         steps = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1)
         rows[:, :2] -= np.outer(np.concatenate([[0], steps.cumsum()]) / steps.sum(), gap)
-        rows, _ = without_repeats(drop_closing_point(rows))
+        rows, repeats = without_repeats(drop_closing_point(rows))
         if len(rows) < MIN_POINTS or np.abs(rows[:, :2]).max() > MAX_COORDINATE:
             raise TrackError(f"track '{self.path.name}': the road is too small or too large to be drawn")
-        return _Road(rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4])
+        centre, (heading, left, right) = rows[:, :2], rows[:, 2:].T
+        to_left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        return Road(centre, centre + to_left * left[:, None], centre - to_left * right[:, None], repeats)
 
     def _stretches(self, with_sides: bool) -> Iterator[_Stretch]:
         """The road's straights and arcs in driving order."""

@@ -4,7 +4,6 @@ Shapes: `P` points of the centreline, `S` walls, `G` gates, `B` cars. Lengths ar
 counter-clockwise from +x. A *station* is a distance along the centreline from the start line, in driving order.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,15 +15,17 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
-from carrl.tracks import builtin
+from carrl.tracks.adjust import adjusted
 from carrl.tracks.bridges import Bridge, check_road, find_bridges
-from carrl.tracks.centreline import Centreline, gap_of
-from carrl.tracks.csv_file import read_csv
-from carrl.tracks.drawing_file import MIN_GATE_SPACING, read_drawing
-from carrl.tracks.folds import cut_folds
+from carrl.tracks.centreline import Centreline, Road, gap_of
+from carrl.tracks.crossings import cut_folds
+from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import MIN_GATE_SPACING
+from carrl.tracks.formats import check_options, read_roads
+from carrl.tracks.inspection import inspect_track
+from carrl.tracks.library import VARIABLE, find_file
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 from carrl.tracks.routes import Routes
-from carrl.tracks.waypoint_file import read_waypoints
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
@@ -45,6 +46,8 @@ class Track:
         gate_count: how many gates, evenly spaced; the last one is the start line, so passing it completes a lap.
         bridges: where the road crosses itself.
         repeats: how many points of its file were left out, since they repeated the one before.
+        notes: how its file was read, where there was a choice; a phrase for each.
+        reference_line: the line that its file proposes to drive, in driving order, [N, 2], float32, m; or None.
     """
 
     name: str
@@ -54,56 +57,84 @@ class Track:
     gate_count: int
     bridges: tuple[Bridge, ...] = ()
     repeats: int = 0
+    notes: tuple[str, ...] = ()
+    reference_line: Tensor | None = None
 
     def __repr__(self) -> str:
         """One line instead of all its walls."""
         return f"Track({self.name!r}, {self.length:.1f} m, {self.gate_count} gates)"
 
     @staticmethod
-    def load(name_or_path: str | Path, gate_spacing: float | None = None, **options: Any) -> "Track":
-        """Loads a built-in track by name, or a file by path.
+    def load(
+        name_or_path: str | Path,
+        gate_spacing: float | None = None,
+        scale: float = 1.0,
+        width: float | None = None,
+        direction: str | None = None,
+        start_at: Sequence[float] | None = None,
+        walls: str | None = None,
+        circuit: str | None = None,
+    ) -> "Track":
+        """Loads a built-in track by name, or a file by path, or a file of the library by name.
 
         Args:
-            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
-                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. `.xml`: a track of TORCS;
-                `.geojson`: a line of longitudes and latitudes; `.xodr`: OpenDRIVE. Any other: CSV with the columns
-                `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
+            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it, see docs/tracks.md; or
+                the name of a file in the folders that the environment variable `CARRL_TRACKS` lists.
             gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
                 drawing has, and else `DEFAULT_GATE_SPACING`.
-            options: of the file's format, such as `width`; None for those that are not given.
+            scale: how many times as large as in the file, such as 10 for the road of a 1:10 car.
+            width: of the road, m, before scaling, for a file that has a line without widths.
+            direction: clockwise or counterclockwise; None as in the file.
+            start_at: x and y, m, after scaling: the start line is at the nearest point of the centreline; None as in
+                the file.
+            walls: of a track of TORCS, road or barriers; None for those of the road.
+            circuit: which one to take of a file that has many.
 
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
-        from carrl.tracks import more_formats  # Here, since they make tracks.
+        tracks = Track.load_all(name_or_path, gate_spacing, scale, width, direction, start_at, walls)
+        names = [track.name.partition("/")[2] for track in tracks]
+        if circuit is not None and circuit not in names:
+            others = f"it has {_some(names)}" if len(names) > 1 else "it has only one, so leave that out"
+            raise TrackError(f"track '{name_or_path}': there is no circuit '{circuit}' in it; {others}")
+        if circuit is None and len(names) > 1:
+            raise TrackError(
+                f"track '{name_or_path}': it has {len(names)} circuits, {_some(names)}; name one as track.circuit"
+            )
+        return tracks[0 if circuit is None else names.index(circuit)]
 
+    @staticmethod
+    def load_all(
+        name_or_path: str | Path,
+        gate_spacing: float | None = None,
+        scale: float = 1.0,
+        width: float | None = None,
+        direction: str | None = None,
+        start_at: Sequence[float] | None = None,
+        walls: str | None = None,
+    ) -> "list[Track]":
+        """The circuits of a file, of which a few formats may hold many; see `load`."""
         name = str(name_or_path)
         _check_gate_spacing(name, gate_spacing)
-        given = {key: value for key, value in options.items() if value is not None}
-        reader = None if name in builtin.DRAWINGS else more_formats.reader_of(Path(name_or_path))
-        more_formats.check_options(name, reader, given)
-        if reader is not None:
-            return more_formats.read_one(Path(name_or_path), reader, gate_spacing, given)
-        if name in builtin.DRAWINGS:
-            drawing = builtin.DRAWINGS[name]
-            return Track._from_drawing(name, drawing.centreline(), gate_spacing, drawing.gate_count)
-        path = Path(name_or_path)
-        if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
-            raise TrackError(
-                f"track '{name}': no file of this path and no built-in track of this name; "
-                f"the built-in ones are {', '.join(builtin_names())}"
-            )
-        ending = path.suffix.lower()
-        if ending == ".npy":
-            road = read_waypoints(path)
-            track = Track.from_walls(
-                path.name, road.centre, road.left, road.right, gate_spacing or DEFAULT_GATE_SPACING
-            )
-            return replace(track, repeats=road.repeats)
-        if ending in (".yaml", ".yml"):
-            file = read_drawing(path)
-            return Track._from_drawing(path.name, file.centreline, gate_spacing, file.gates, file.gate_spacing)
-        return Track.from_centreline(path.name, read_csv(path), gate_spacing or DEFAULT_GATE_SPACING)
+        if name in DRAWINGS:
+            given = {"width": width, "walls": walls}
+            check_options(name, [], {key: value for key, value in given.items() if value is not None})
+            drawing = DRAWINGS[name]
+            roads = [drawing.centreline().road(drawing.gate_count)]
+        else:
+            path = find_file(name_or_path)
+            if path is None:
+                raise TrackError(
+                    f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
+                    f"{', '.join(builtin_names())}, and {VARIABLE} may list folders of others"
+                )
+            name, roads = path.name, read_roads(path, width=width, walls=walls)
+        return [
+            Track.from_road(each, adjusted(each, road, scale, direction, start_at), gate_spacing)
+            for road in roads
+            for each in [name if road.name is None else f"{name}/{road.name}"]
+        ]
 
     @staticmethod
     def random(
@@ -131,8 +162,6 @@ class Track:
         Raises:
             TrackError: a value is no such number or range, or no circuit has these measures.
         """
-        from carrl.tracks.inspection import inspect_track  # Here, since it inspects what is defined here.
-
         name = f"random-{seed}"
         _check_gate_spacing(name, gate_spacing)
         for centreline in random_centrelines(seed, corner_radius, width, length, widening, corner_spacing, hairpins):
@@ -144,29 +173,28 @@ class Track:
         )
 
     @staticmethod
-    def _from_drawing(
-        name: str,
-        centreline: Centreline,
-        wished_spacing: float | None,
-        gate_count: int | None,
-        gate_spacing: float | None = None,
-    ) -> "Track":
-        """A track with the gates as wished, or else as drawn."""
-        if wished_spacing is not None:
-            return Track.from_centreline(name, centreline, wished_spacing)
-        return Track.from_centreline(name, centreline, gate_spacing or DEFAULT_GATE_SPACING, gate_count)
+    def from_road(name: str, road: Road, gate_spacing: float | None = None) -> "Track":
+        """A track with the gates as wished, m, or else as its file has them.
+
+        Raises:
+            TrackError: the centreline crosses itself where no bridge can be made of it.
+        """
+        gates = road.gates if gate_spacing is None else None
+        spacing = gate_spacing or road.gate_spacing or DEFAULT_GATE_SPACING
+        track = Track.from_walls(name, road.centre, road.left, road.right, spacing, gates)
+        reference = None if road.reference is None else _as_tensor(road.reference)
+        return replace(track, repeats=road.repeats, notes=road.notes, reference_line=reference)
 
     @staticmethod
     def from_centreline(
         name: str, centreline: Centreline, gate_spacing: float = DEFAULT_GATE_SPACING, gate_count: int | None = None
     ) -> "Track":
-        """Builds the walls by offsetting the centreline, and the gates by `gate_count` or else by `gate_spacing` m.
+        """A track with walls beside the centreline, and gates by `gate_count` or else by `gate_spacing` m.
 
         Raises:
             TrackError: the centreline crosses itself where no bridge can be made of it.
         """
-        track = Track.from_walls(name, centreline.points, *centreline.walls(), gate_spacing, gate_count)
-        return replace(track, repeats=centreline.repeats)
+        return Track.from_road(name, centreline.road(gate_count, gate_spacing))
 
     @staticmethod
     def from_walls(
@@ -209,6 +237,7 @@ class Track:
             centreline=self.centreline * flip,
             left_wall=self.right_wall * flip,
             right_wall=self.left_wall * flip,
+            reference_line=None if self.reference_line is None else self.reference_line * flip,
         )
 
     def reversed(self) -> "Track":
@@ -224,7 +253,13 @@ class Track:
             left_wall=turn_back(self.right_wall),
             right_wall=turn_back(self.left_wall),
             bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
+            reference_line=None if self.reference_line is None else turn_back(self.reference_line),
         )
+
+    @property
+    def road(self) -> Tensor:
+        """The centreline, the left and the right wall side by side, [P, 3, 2], float32, m."""
+        return torch.stack([self.centreline, self.left_wall, self.right_wall], dim=1)
 
     @cached_property
     def walls(self) -> Tensor:
@@ -257,7 +292,7 @@ class Track:
 
     def room_at(self, stations: Tensor) -> Tensor:
         """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
-        return self._route.room(self._only(stations), stations)
+        return self._route.clearance(self._only(stations), stations)
 
     def next_gate(self, stations: Tensor) -> Tensor:
         """Index of the first gate ahead of each station: [B], m, to [B], int64; one within 0.1 m lies behind."""
@@ -290,7 +325,7 @@ class Track:
 
     @cached_property
     def _route(self) -> Routes:
-        return Routes([self])
+        return Routes([self.road], [self.gate_count])
 
     @staticmethod
     def _only(stations: Tensor) -> Tensor:
@@ -300,7 +335,12 @@ class Track:
 
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
-    return list(builtin.DRAWINGS)
+    return list(DRAWINGS)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Names as part of a sentence, the first of many."""
+    return ", ".join(names[:50]) + (" and more" if len(names) > 50 else "")
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:

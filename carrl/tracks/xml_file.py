@@ -5,7 +5,7 @@ from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
 from carrl.errors import TrackError
-from carrl.tracks.file_content import read_content
+from carrl.files import read_whole
 
 MOST_ELEMENTS, MOST_DEPTH = 200_000, 64
 MAX_XML_BYTES = 8 * 2**20
@@ -21,7 +21,7 @@ def read_xml(path: Path) -> Element:
     Raises:
         TrackError: the file is no XML, too large a tree, or declares entities of its own.
     """
-    content = read_content(path, MAX_XML_BYTES)
+    content = read_whole(path, MAX_XML_BYTES, f"track '{path.name}'", TrackError)
     try:
         return _Tree(path).grow(content)
     except expat.ExpatError as error:
@@ -107,7 +107,7 @@ def root_tag(path: Path) -> str:
     parser = expat.ParserCreate()
     parser.StartElementHandler = stop
     try:
-        parser.Parse(read_content(path, MAX_XML_BYTES), True)
+        parser.Parse(read_whole(path, MAX_XML_BYTES, f"track '{path.name}'", TrackError), True)
     except _RootFoundError as found:
         return str(found)
     except (expat.ExpatError, ValueError, LookupError):

@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from carrl.evaluation.trial import Trial
+from carrl.evaluation.results import Trial
 from carrl.log.messages import Episode
 from carrl.train.folder import RunFolder
 from carrl.train.learner import Agent

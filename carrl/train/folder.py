@@ -11,8 +11,8 @@ from tensordict import TensorDictBase
 
 from carrl.algorithms.common.policy import GreedyPolicy
 from carrl.errors import CheckpointError
+from carrl.evaluation.results import Trial
 from carrl.evaluation.rollout import Policy
-from carrl.evaluation.trial import Trial
 from carrl.files import remove_left_overs
 from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 from typing import Any
 
-from carrl.evaluation.trial import Trial
+from carrl.evaluation.results import Trial
 from carrl.train.agent_run import AgentRun
 from carrl.train.training import Training
 

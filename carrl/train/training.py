@@ -8,8 +8,8 @@ import torch
 
 import carrl
 from carrl.errors import CarrlError, CheckpointError
+from carrl.evaluation.results import Trial
 from carrl.evaluation.rollout import rollout
-from carrl.evaluation.trial import Trial
 from carrl.sim.simulator import Simulator
 from carrl.train.agent_run import AgentRun
 from carrl.train.build import Learning

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from carrl.tracks.borders import cut_abreast, is_abreast
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
+from carrl.tracks.waypoint_file import cut_abreast, is_abreast
 
 
 def circle(radius: float, angle: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import torch
 from shapely import LinearRing, LineString, Point
 
 from carrl.tracks.centreline import Centreline
-from carrl.tracks.folds import count_folds, cut_folds
+from carrl.tracks.crossings import count_folds, cut_folds
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 from tests.sim.shapes import random_track, rounded_road

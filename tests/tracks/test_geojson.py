@@ -39,7 +39,7 @@ def read(tmp_path: Path):
     def read(values: object, **options) -> list[Track]:
         path = tmp_path / "own.geojson"
         path.write_text(values if isinstance(values, str) else json.dumps(values))
-        return geojson.read(path, **options)
+        return Track.load_all(path, **options)
 
     return read
 
@@ -76,7 +76,7 @@ def test_a_road_is_12_m_wide_unless_told_otherwise(read):
 
 
 def test_the_direction_is_that_of_the_line_or_the_other_one(read):
-    (track,), (back,) = read(feature(ellipse())), read(feature(ellipse()), reverse=True)
+    (track,), (back,) = read(feature(ellipse())), read(feature(ellipse()), direction="clockwise")
     assert inspect_track(track).least_radius_right is None
     assert inspect_track(back).least_radius_left is None
     assert back.centreline[0].tolist() == track.centreline[0].tolist()
@@ -101,19 +101,19 @@ def test_a_straight_between_points_far_apart_stays_straight(read):
     np.testing.assert_allclose(on_straight[:, 1].abs(), 60, atol=0.05)
 
 
-def test_one_circuit_of_many_is_chosen_by_id_or_name(read, tmp_path: Path):
+def test_one_circuit_of_many_is_chosen_by_its_id_or_else_its_name(read, tmp_path: Path):
     many = collection(
         feature([0, 0], "Point"),
-        feature(ellipse(), id="one", Name="First Ring"),
+        feature(ellipse(), Name="First Ring"),
         feature(ellipse(latitude=50), id="two"),
         feature(ellipse(latitude=10), id="two"),
     )
-    assert [track.name for track in read(many)] == [f"own.geojson/{name}" for name in ("one", "two", "two-4")]
+    assert [track.name for track in read(many)] == [f"own.geojson/{name}" for name in ("First Ring", "two", "two-4")]
     path = tmp_path / "own.geojson"
-    assert Track.load(path, circuit="First Ring").name == "own.geojson/one"
-    with pytest.raises(TrackError, match="it has 3 circuits; choose one by circuit: one, two, two-4"):
+    assert Track.load(path, circuit="First Ring").name == "own.geojson/First Ring"
+    with pytest.raises(TrackError, match="it has 3 circuits, First Ring, two, two-4; name one as track"):
         Track.load(path)
-    with pytest.raises(TrackError, match="there is no circuit 'three'; there is one, two, two-4"):
+    with pytest.raises(TrackError, match="there is no circuit 'three' in it; it has First Ring, two, two-4"):
         Track.load(path, circuit="three")
 
 

@@ -9,7 +9,6 @@ import pytest
 from scipy.special import fresnel
 
 from carrl.errors import TrackError
-from carrl.tracks import opendrive
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 
@@ -42,7 +41,7 @@ def read(tmp_path: Path):
     def read(*roads: str, **options) -> list[Track]:
         path = tmp_path / "own.xodr"
         path.write_text(f"<OpenDRIVE>{''.join(roads)}</OpenDRIVE>")
-        return opendrive.read(path, **options)
+        return Track.load_all(path, **options)
 
     return read
 
@@ -68,7 +67,7 @@ def test_lanes_on_both_sides_are_one_road_and_those_beyond_are_left_out(read):
 
 
 def test_traffic_on_the_left_of_the_line_runs_against_it(read):
-    (track,), (back,) = read(road(*STADIUM, lanes=LEFT)), read(road(*STADIUM, lanes=LEFT), reverse=True)
+    (track,), (back,) = read(road(*STADIUM, lanes=LEFT)), read(road(*STADIUM, lanes=LEFT), direction="counterclockwise")
     assert inspect_track(track).least_radius_left is None
     assert inspect_track(back).least_radius_right is None
     (left_hand,) = read(road(*STADIUM, lanes=LEFT, more='rule="LHT"'))
@@ -103,13 +102,13 @@ def test_a_ring_of_roads_may_be_linked_end_to_end_in_any_direction(read):
     np.testing.assert_allclose(track.right_wall, whole.right_wall, atol=1e-4)
 
 
-def test_one_of_many_circuits_is_chosen_by_a_road_in_it(read):
+def test_one_of_many_circuits_is_chosen_by_its_first_road(read, tmp_path: Path):
     far = [(x + 500, y, *rest) for x, y, *rest in STADIUM]
     roads = road(*STADIUM, road_id=7), road(*far, road_id=8)
     assert [track.name for track in read(*roads)] == ["own.xodr/7", "own.xodr/8"]
-    assert read(*roads, circuit="8")[0].centreline[0].tolist() == [500, -2]
-    with pytest.raises(TrackError, match="road '9' is in none of its circuits"):
-        read(*roads, circuit="9")
+    assert Track.load(tmp_path / "own.xodr", circuit="8").centreline[0].tolist() == [500, -2]
+    with pytest.raises(TrackError, match="there is no circuit '9' in it; it has 7, 8"):
+        Track.load(tmp_path / "own.xodr", circuit="9")
 
 
 def test_a_spiral_is_that_of_fresnel(read):

@@ -14,8 +14,8 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle
 from carrl.tracks import centreline
-from carrl.tracks.builtin import DRAWINGS
 from carrl.tracks.centreline import Centreline
+from carrl.tracks.drawing import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import straight_road_track

@@ -7,8 +7,8 @@ import pytest
 
 from carrl.cli.text.console import print_summaries, print_summary
 from carrl.cli.text.sweep import _figures, _result
+from carrl.evaluation.results import Trial
 from carrl.evaluation.rollout import drive, rule_policy
-from carrl.evaluation.trial import Trial
 from carrl.report.findings import find
 from carrl.report.runs_table import runs_table
 from carrl.train.agent_run import AgentRun, FirstLap

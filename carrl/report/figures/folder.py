@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from carrl.errors import CarrlError
-from carrl.evaluation.rollout import Drive
+from carrl.evaluation.results import Drive
 from carrl.files import write_whole
 from carrl.report.document import as_json, groups_csv, runs_csv
 from carrl.report.figures.improvement import draw_improvement

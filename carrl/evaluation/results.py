@@ -1,0 +1,213 @@
+"""How well a policy drives: measures of one drive, of one network's drives, and of many with confidence intervals.
+
+Shapes: `T` steps, `R` rays.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+MEANS = ("progress", "lap_reward", "lap_steps", "forward_share", "switches_per_100m", "near_wall_share")
+"""Measures of a drive that are averaged."""
+CONFIDENCE = 0.95
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One car's drive: until the lap is complete, it touches a wall, or the time is up.
+
+    Attributes:
+        start: station of the start, m along the centreline from the start line.
+        lap_completed: all gates passed in order.
+        collided: it touched a wall.
+        progress: share of the lap driven, in [0, 1].
+        lap_reward: sum of the paper's rewards.
+        steering_reward: sum of what turns and switches earn beside it.
+        lap_steps: steps driven.
+        forward_share: share of the steps with the action forward.
+        switches_per_100m: how often the action changed, per 100 m driven.
+        reversals: how often left followed right or right followed left, without a step forward between.
+        near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
+        poses: before each step and after the last, [T + 1, 3].
+        ranges: at each pose, [T + 1, R], m.
+        actions: [T].
+    """
+
+    start: float
+    lap_completed: bool
+    collided: bool
+    progress: float
+    lap_reward: float
+    steering_reward: float
+    lap_steps: int
+    forward_share: float
+    switches_per_100m: float
+    reversals: int
+    near_wall_share: float
+    poses: np.ndarray = field(repr=False)
+    ranges: np.ndarray = field(repr=False)
+    actions: np.ndarray = field(repr=False)
+
+    def measures(self) -> dict[str, Any]:
+        """The figures without the trajectory, ready for JSON."""
+        arrays = ("poses", "ranges", "actions")
+        return {name: value for name, value in vars(self).items() if name not in arrays}
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it, arrays as tensors."""
+        return {
+            name: torch.as_tensor(value) if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> "Drive":
+        """What `state_dict` told of."""
+        values: dict[str, Any] = {
+            name: value.numpy() if isinstance(value, Tensor) else value for name, value in state.items()
+        }
+        return cls(**values)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Drives of one network.
+
+    Attributes:
+        drives: one for each circuit, in the order of `Circuits.validation`.
+    """
+
+    drives: tuple[Drive, ...]
+
+    @property
+    def laps_completed(self) -> int:
+        """On how many circuits the lap was completed."""
+        return sum(drive.lap_completed for drive in self.drives)
+
+    @property
+    def lap_completed(self) -> bool:
+        """Whether it was on every one."""
+        return self.laps_completed == len(self.drives)
+
+    @property
+    def shown(self) -> int:
+        """Which drive to look at: the first one of those with the least progress."""
+        return min(range(len(self.drives)), key=lambda index: self.drives[index].progress)
+
+    @property
+    def quality(self) -> tuple[float, ...]:
+        """Orders trials: complete laps first, then by progress, reward and how they steer."""
+        others = ("progress", "lap_reward", "steering_reward", "forward_share")
+        return (self.laps_completed, *(self._mean(name) for name in others))
+
+    def measures(self) -> dict[str, Any]:
+        """The figures, ready for JSON: of several drives the means, of counts rounded, and how many are laps."""
+        first, *others = (drive.measures() for drive in self.drives)
+        if not others:
+            return first
+        means = {name: self._mean(name) for name in first}
+        return {
+            **means,
+            **{name: round(means[name]) for name in ("lap_steps", "reversals")},
+            "lap_completed": self.lap_completed,
+            "collided": any(drive.collided for drive in self.drives),
+            "circuits": len(self.drives),
+            "laps_completed": self.laps_completed,
+        }
+
+    def state_dict(self) -> list[dict[str, Any]]:
+        """All of it, arrays as tensors."""
+        return [drive.state_dict() for drive in self.drives]
+
+    @classmethod
+    def from_state_dict(cls, state: list[dict[str, Any]]) -> "Trial":
+        """What `state_dict` told of."""
+        return cls(tuple(map(Drive.from_state_dict, state)))
+
+    def _mean(self, name: str) -> float:
+        return math.fsum(getattr(drive, name) for drive in self.drives) / len(self.drives)
+
+
+def tally(runs: Sequence[Sequence[Drive]], step_length: float) -> dict[str, Any]:
+    """The figures of the drives of one or more runs, ready for JSON.
+
+    The interval of the share of completed laps is Wilson's and that of the collisions per km is the exact one of a
+    Poisson rate, both over all drives; that of a mean is Student's, over the runs' means if there are several runs and
+    over the drives if there is one.
+
+    Args:
+        runs: the drives of each run, at least one of each.
+        step_length: metres that a car drives in a step.
+    """
+    drives = [drive for run in runs for drive in run]
+    laps, collisions = sum(drive.lap_completed for drive in drives), sum(drive.collided for drive in drives)
+    driven_km = sum(drive.lap_steps for drive in drives) * step_length / 1000
+    groups = runs if len(runs) > 1 else [[drive] for drive in drives]
+    return {
+        "starts": len(drives),
+        "laps_completed": laps,
+        **{name: _mean(drives, name) for name in MEANS},
+        "collisions": collisions,
+        "driven_km": driven_km,
+        "collisions_per_km": collisions / driven_km,
+        "intervals": {
+            "completion": share_interval(laps, len(drives)),
+            "collisions_per_km": rate_interval(collisions, driven_km),
+            **{name: mean_interval([_mean(group, name) for group in groups]) for name in MEANS},
+        },
+    }
+
+
+def _mean(drives: Sequence[Drive], name: str) -> float:
+    return math.fsum(getattr(drive, name) for drive in drives) / len(drives)
+
+
+def share_interval(successes: int, trials: int) -> Interval:
+    """Wilson's interval of the probability of a success; all of 0..1 if nothing was tried.
+
+    Source: Wilson 1927, "Probable Inference, the Law of Succession, and Statistical Inference".
+    """
+    from scipy import special  # Here and below, since training imports this module and needs none of it.
+
+    if trials == 0:
+        return 0.0, 1.0
+    z = float(special.ndtri((1 + CONFIDENCE) / 2))
+    share, penalty = successes / trials, z * z / trials
+    middle = (share + penalty / 2) / (1 + penalty)
+    reach = z / (1 + penalty) * math.sqrt(share * (1 - share) / trials + penalty / (4 * trials))
+    return max(0.0, middle - reach), min(1.0, middle + reach)
+
+
+def rate_interval(events: int, exposure: float) -> Interval:
+    """The exact interval of a Poisson rate: events per unit of the exposure, which must be positive.
+
+    Source: Garwood 1936, "Fiducial Limits for the Poisson Distribution".
+    """
+    from scipy import special
+
+    tail = (1 - CONFIDENCE) / 2
+    low = special.gammaincinv(events, tail) if events else 0.0
+    return float(low) / exposure, float(special.gammainccinv(events + 1, tail)) / exposure
+
+
+def mean_interval(values: Sequence[float]) -> Interval | None:
+    """Student's interval of the mean of independent values; None of fewer than two.
+
+    Source: Student 1908, "The Probable Error of a Mean".
+    """
+    from scipy import special
+
+    count = len(values)
+    if count < 2:
+        return None
+    mean = math.fsum(values) / count
+    variance = math.fsum((value - mean) ** 2 for value in values) / (count - 1)
+    reach = float(special.stdtrit(count - 1, (1 + CONFIDENCE) / 2)) * math.sqrt(variance / count)
+    return mean - reach, mean + reach
