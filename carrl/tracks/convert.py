@@ -8,7 +8,7 @@ import numpy as np
 
 from carrl.errors import TrackError
 from carrl.files import write_whole
-from carrl.tracks import ros_map, waypoint_file
+from carrl.tracks import geojson, ros_map, waypoint_file
 from carrl.tracks.adjust import as_centreline, walls_apart
 from carrl.tracks.crossings import cut_folds
 from carrl.tracks.csv_file import write_csv
@@ -103,8 +103,6 @@ def _write_waypoints(path: Path, track: Track, _: float) -> list[Path]:
 
 
 def _write_geojson(path: Path, track: Track, _: float) -> list[Path]:
-    from carrl.tracks import geojson  # type: ignore[attr-defined]
-
     geojson.write(path, as_centreline(track))
     return [path]
 

@@ -103,7 +103,7 @@ def _read_rows(path: Path) -> tuple[list[Row], list[Row]]:
     try:
         text = read_whole(path, MAX_FILE_BYTES, f"track '{path.name}'", TrackError).decode("utf-8-sig")
         if text.lstrip().startswith(("{", "<")):
-            raise TrackError(f"track '{path.name}': this is JSON or XML; CarRL reads .csv, .npy and .yaml")
+            raise TrackError(f"track '{path.name}': this is JSON or XML; name it .geojson, .xml or .xodr")
         delimiter, line = _delimiter_of(text), 1
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
         for row in reader:

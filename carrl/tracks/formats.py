@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from carrl.errors import TrackError
-from carrl.tracks import raceline, ros_map
+from carrl.errors import TrackError, shown
+from carrl.tracks import geojson, opendrive, raceline, ros_map, torcs
 from carrl.tracks.centreline import Road
 from carrl.tracks.drawing_file import read_drawing
 from carrl.tracks.waypoint_file import read_waypoints
+from carrl.tracks.xml_file import root_tag
 
 Reader = Callable[..., Road | list[Road]]
 """Takes the path, and as keywords the options of its format, such as `width`."""
@@ -20,11 +21,24 @@ def _read_yaml(path: Path) -> Road:
     return ros_map.read(path) if ros_map.is_map(path) else read_drawing(path)
 
 
+def _read_xml(path: Path, walls: str | None = None) -> Road | list[Road]:
+    tag = root_tag(path)
+    if tag == "params":
+        return torcs.read(path, walls or torcs.WALLS[0])
+    if tag == "OpenDRIVE":
+        check_options(path.name, [], {} if walls is None else {"walls": walls})
+        return opendrive.read(path)
+    raise TrackError(f"track '{path.name}': this XML is {shown(tag)}; CarRL reads params, as of TORCS, and OpenDRIVE")
+
+
 READERS: dict[str, Reader] = {
     ".csv": raceline.read,
     ".npy": read_waypoints,
     ".yaml": _read_yaml,
     ".yml": _read_yaml,
+    ".xml": _read_xml,
+    ".xodr": opendrive.read,
+    ".geojson": geojson.read,
 }
 """By the ending in small letters; add one to read tracks of another format. Each raises TrackError for a bad file."""
 

@@ -72,6 +72,8 @@ class Track:
         width: float | None = None,
         direction: str | None = None,
         start_at: Sequence[float] | None = None,
+        walls: str | None = None,
+        circuit: str | None = None,
     ) -> "Track":
         """Loads a built-in track by name, or a file by path, or a file of the library by name.
 
@@ -85,15 +87,22 @@ class Track:
             direction: clockwise or counterclockwise; None as in the file.
             start_at: x and y, m, after scaling: the start line is at the nearest point of the centreline; None as in
                 the file.
+            walls: of a track of TORCS, road or barriers; None for those of the road.
+            circuit: which one to take of a file that has many.
 
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
-        tracks = Track.load_all(name_or_path, gate_spacing, scale, width, direction, start_at)
-        if len(tracks) > 1:
-            names = ", ".join(track.name for track in tracks[:20])
-            raise TrackError(f"track '{name_or_path}': it has {len(tracks)} circuits, {names}; name one of them")
-        return tracks[0]
+        tracks = Track.load_all(name_or_path, gate_spacing, scale, width, direction, start_at, walls)
+        names = [track.name.partition("/")[2] for track in tracks]
+        if circuit is not None and circuit not in names:
+            others = f"it has {_some(names)}" if len(names) > 1 else "it has only one, so leave that out"
+            raise TrackError(f"track '{name_or_path}': there is no circuit '{circuit}' in it; {others}")
+        if circuit is None and len(names) > 1:
+            raise TrackError(
+                f"track '{name_or_path}': it has {len(names)} circuits, {_some(names)}; name one as track.circuit"
+            )
+        return tracks[0 if circuit is None else names.index(circuit)]
 
     @staticmethod
     def load_all(
@@ -103,12 +112,14 @@ class Track:
         width: float | None = None,
         direction: str | None = None,
         start_at: Sequence[float] | None = None,
+        walls: str | None = None,
     ) -> "list[Track]":
         """The circuits of a file, of which a few formats may hold many; see `load`."""
         name = str(name_or_path)
         _check_gate_spacing(name, gate_spacing)
         if name in DRAWINGS:
-            check_options(name, [], {} if width is None else {"width": width})
+            given = {"width": width, "walls": walls}
+            check_options(name, [], {key: value for key, value in given.items() if value is not None})
             drawing = DRAWINGS[name]
             roads = [drawing.centreline().road(drawing.gate_count)]
         else:
@@ -118,7 +129,7 @@ class Track:
                     f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
                     f"{', '.join(builtin_names())}, and {VARIABLE} may list folders of others"
                 )
-            name, roads = path.name, read_roads(path, width=width)
+            name, roads = path.name, read_roads(path, width=width, walls=walls)
         return [
             Track.from_road(each, adjusted(each, road, scale, direction, start_at), gate_spacing)
             for road in roads
@@ -325,6 +336,11 @@ class Track:
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
     return list(DRAWINGS)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Names as part of a sentence, the first of many."""
+    return ", ".join(names[:50]) + (" and more" if len(names) > 50 else "")
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:
