@@ -110,7 +110,10 @@ def _list(arguments: argparse.Namespace) -> int:
 
         title = ", ".join(map(str, named if arguments.folders else ["built-in tracks", *named]))
         print_table(title, header, [_row(report) for report in reports])
-    if refused:
+    if arguments.json:
+        for _, reason in refused:
+            print(f"carrl: {printable(reason)}", file=sys.stderr)
+    elif refused:
         from carrl.cli.text.terminal_table import print_table
 
         print_table(f"{len(refused)} files that are no tracks", ("file", "why"), refused, figures=(), to_stderr=True)
