@@ -17,15 +17,17 @@ from benchmarks.log_reading import READINGS, THROUGH_ALL
 from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.algorithms.common.network import make_q_network
+from carrl.algorithms.dqn.dqn import dqn_columns
+from carrl.data.episodes import EpisodeTracker
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.rollout import rule_policy
 from carrl.log import load
 from carrl.log.messages import Episode
-from carrl.log.schema import COLUMNS
 from carrl.log.writer import LogWriter
 from carrl.task.start import Start
-from carrl.train.episodes import EpisodeTracker
+from carrl.train.provenance import log_schema
 
+SCHEMA = log_schema(TrackEnv(), dqn_columns(("forward", "left", "right")))
 HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")
 CARS = 64
 BATCH = 2048
@@ -95,7 +97,7 @@ def drive(count: int) -> tuple[TensorDict, list[Episode]]:
             step, state = env.step_and_maybe_reset(_choose(network(state), env))
             batch = step[:, None]
             episodes += tracker.follow(batch)[0]
-            steps.append(batch[:, 0].select(*(column.key for column in COLUMNS)))
+            steps.append(batch[:, 0].select(*SCHEMA.keys))
     return torch.cat(steps)[:count], episodes
 
 
@@ -126,7 +128,7 @@ def measure(folder: Path, transitions: TensorDict, episodes: list[Episode]) -> t
 def _write(path: Path, transitions: TensorDict, episodes: list[Episode], copies: int) -> None:
     span = int(transitions["time_ns"][-1]) + 100_000_000
     numbers = int(transitions["episode"].max()) + 1
-    with LogWriter(path, attachments={}, metadata={}) as writer:
+    with LogWriter(path, schema=SCHEMA, attachments={}, metadata={}) as writer:
         for copy in range(copies):
             for batch in transitions.split(BATCH):
                 shifted = batch.copy()
@@ -144,9 +146,7 @@ def _shifted(episodes: list[Episode], numbers: int, span: int) -> Iterator[Episo
 
 
 def _equal(loaded: TensorDict, written: TensorDict) -> bool:
-    return all(
-        loaded[column.key].numpy().tobytes() == written[column.key].contiguous().numpy().tobytes() for column in COLUMNS
-    )
+    return all(loaded[key].numpy().tobytes() == written[key].contiguous().numpy().tobytes() for key in SCHEMA.keys)
 
 
 def _timed(what: str, count: int, work: Callable[[], object], file: Path | None = None) -> Measurement:

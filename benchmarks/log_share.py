@@ -11,6 +11,7 @@ from typing import Any
 from benchmarks.options import tell
 from carrl.cli.main import main as carrl
 from carrl.log.writer import LogWriter
+from carrl.train.callbacks import Recorder
 from carrl.train.trainer import Trainer
 
 SHARE_HEADER = ("run", "seconds of training", "of them for the log", "share")
@@ -32,7 +33,7 @@ def _row(overrides: Sequence[str]) -> list[str]:
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         for kind, name, what in (
             (Trainer, "run", "training"),
-            (Trainer, "_record", "log"),
+            (Recorder, "collected", "log"),
             (LogWriter, "write_episode", "log"),
             (LogWriter, "close", "log"),
         ):

@@ -1,104 +1,110 @@
-"""Where the time of a training run goes, part by part, as cProfile sees it."""
+"""Where the time of a training run goes, package by package.
 
-import pstats
+A timer of the process's CPU time interrupts the run every 2 ms. The time since the last interruption then counts for
+the package of CarRL or TorchRL whose code is running, or has called what is running, such as torch. So no function is
+named here, and none can be missing because it moved.
+"""
+
+import json
+import runpy
+import signal
+import sys
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+import time
+from collections import Counter
 from pathlib import Path
-from typing import Any
+from types import FrameType
 
 from benchmarks.child import CARRL, BenchError, run_child
 from benchmarks.contestants import carrl_overrides
 
-HEADER = ("part of the training loop", "seconds", "share")
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of the training loop.
-
-    Attributes:
-        name: for the table.
-        functions: whose time it is, that of all they call included. Each is `end/of/path.py:function`, or, to count
-            only the calls that one caller makes, `end/of/path.py:caller > end/of/path.py:function`. None may be called
-            by another one of them.
-        within: the part whose time includes it; that part's own share is what its inner parts leave.
-    """
-
-    name: str
-    functions: tuple[str, ...]
-    within: str
-
-
-LOOP = "other"
-PARTS = (
-    Part(LOOP, ("carrl/train/trainer.py:run",), ""),
-    Part("updates: native call", ("carrl/train/learner.py:__call__",), "updates: the rest"),
-    Part("updates: sampling", ("carrl/data/replay_buffer.py:sample",), "updates: the rest"),
-    Part("updates: tracing, loading native code", ("carrl/train/learner.py:_try_to_compile",), "updates: the rest"),
-    Part("updates: the rest", ("carrl/train/learner.py:learn",), LOOP),
-    Part("environment and simulator", ("carrl/env/track_env.py:_step", "carrl/env/track_env.py:_reset"), "collector"),
-    Part(
-        "policy",
-        ("torchrl/collectors/_single.py:rollout > torch/nn/modules/module.py:_wrapped_call_impl",),
-        "collector",
-    ),
-    Part("collector", ("torchrl/collectors/_single.py:iterator",), LOOP),
-    Part("replay extend", ("torchrl/data/replay_buffers/replay_buffers/tensordict.py:extend",), LOOP),
-    Part("recorder", ("carrl/train/folder.py:record",), LOOP),
-    Part("evaluation drives", ("carrl/train/trainer.py:_evaluate",), LOOP),
-    Part("episode accounting", ("carrl/train/episodes.py:follow", "carrl/train/agent_run.py:add_episodes"), LOOP),
-)
-"""Edit this when a function moves; a name that is not in the profile is an error."""
-
-Profile = Mapping[tuple[str, int, str], tuple[int, int, float, float, Mapping[tuple[str, int, str], Any]]]
-"""What `pstats.Stats.stats` holds: calls, own and cumulative seconds, and the same for each caller."""
+HEADER = ("package", "seconds", "share")
+LIBRARIES = ("carrl", "torchrl")
+IMPORTS, OTHERS = "imports", "all else"
+_EVERY_S = 0.002
 
 
 def profile_rows(compiled: bool, seeds: int, frames: int) -> list[list[str]]:
-    """Trains under cProfile and returns a row under `HEADER` for each part, the largest first.
+    """Trains under the timer and returns a row under `HEADER` for each package, the largest first.
 
     Raises:
-        BenchError: the run failed, or a part has no function in the profile.
+        BenchError: the run failed, or no package of CarRL was seen at work.
     """
     with tempfile.TemporaryDirectory() as name:
-        file = Path(name) / "profile"
+        file = Path(name) / "profile.json"
         overrides = carrl_overrides(compiled, seeds, frames, f"{name}/run")
-        run_child(["-m", "cProfile", "-o", str(file), *CARRL, *overrides])
-        own = own_seconds(pstats.Stats(str(file)).stats)  # type: ignore[attr-defined]
-    total = sum(own.values())
-    rows = [[part, f"{seconds:.2f}", f"{seconds / total:.1%}"] for part, seconds in own.items()]
-    return sorted(rows, key=lambda row: -own[row[0]])
+        run_child(["-m", "benchmarks.profiling", str(file), CARRL[1], *CARRL[2:], *overrides])
+        return rows_of(json.loads(file.read_text(encoding="utf-8")))
 
 
-def own_seconds(profile: Profile, parts: tuple[Part, ...] = PARTS) -> dict[str, float]:
-    """The seconds of every part without those of its inner parts.
+def rows_of(seconds: dict[str, float]) -> list[list[str]]:
+    """The table of the seconds by package.
 
     Raises:
-        BenchError: a function is not in the profile, or inner parts take more than the part that they are in.
+        BenchError: none of them is CarRL's.
     """
-    seconds = {part.name: sum(_cumulative(profile, function) for function in part.functions) for part in parts}
-    own = dict(seconds)
-    for part in parts:
-        if part.within:
-            own[part.within] -= seconds[part.name]
-    for name, left in own.items():
-        if left < -0.01 * seconds[name]:
-            raise BenchError(f"profile: the parts within '{name}' take {-left:.2f} s more than it; do they overlap?")
-    return own
+    if not any(package.startswith("carrl.") for package in seconds):
+        raise BenchError(f"profile: no code of CarRL was seen at work, only {', '.join(seconds) or 'nothing'}")
+    total = sum(seconds.values())
+    largest = sorted(seconds.items(), key=lambda item: -item[1])
+    return [[package, f"{took:.2f}", f"{took / total:.1%}"] for package, took in largest]
 
 
-def _cumulative(profile: Profile, function: str) -> float:
-    """Seconds of all functions of this name, with what they call."""
-    *caller, callee = function.split(" > ")
-    matching = [entry for place, entry in profile.items() if _is(place, callee)]
-    if caller:
-        matching = [edge for *_, callers in matching for place, edge in callers.items() if _is(place, caller[0])]
-    if not matching:
-        raise BenchError(f"profile: '{function}' was never called; did it move? Mend PARTS in benchmarks/profiling.py")
-    return sum(entry[3] for entry in matching)
+def package_of(frame: FrameType | None) -> str:
+    """The package whose code runs, such as carrl.task: that of the innermost frame of one of the `LIBRARIES`."""
+    package = OTHERS
+    while frame is not None:
+        file = frame.f_code.co_filename
+        if file.startswith("<frozen importlib"):
+            return IMPORTS
+        if package == OTHERS:
+            words = str(frame.f_globals.get("__name__", "")).split(".")
+            if words[0] in LIBRARIES and len(words) > 1:
+                package = ".".join(words[:2])
+        frame = frame.f_back
+    return package
 
 
-def _is(place: tuple[str, int, str], function: str) -> bool:
-    path, _, name = function.partition(":")
-    return place[2] == name and Path(place[0]).as_posix().endswith(f"/{path}")
+class Timer:
+    """Counts CPU time by package while it is entered, in the main thread.
+
+    Attributes:
+        seconds: of each package.
+    """
+
+    def __init__(self) -> None:
+        """Starts with nothing."""
+        self.seconds: Counter[str] = Counter()
+
+    def __enter__(self) -> "Timer":
+        """Starts the timer."""
+        self._last = time.process_time()
+        signal.signal(signal.SIGPROF, self._count)
+        signal.setitimer(signal.ITIMER_PROF, _EVERY_S, _EVERY_S)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stops it."""
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, signal.SIG_IGN)
+
+    def _count(self, _signal: int, frame: FrameType | None) -> None:
+        now = time.process_time()
+        self.seconds[package_of(frame)] += now - self._last
+        self._last = now
+
+
+def main() -> None:
+    """Runs `python -m benchmarks.profiling FILE MODULE ARGUMENT...` under the timer and writes the seconds as JSON."""
+    file, module, *arguments = sys.argv[1:]
+    sys.argv = [module, *arguments]
+    timer = Timer()
+    try:
+        with timer:
+            runpy.run_module(module, run_name="__main__")
+    finally:
+        Path(file).write_text(json.dumps(timer.seconds), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

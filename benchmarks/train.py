@@ -120,7 +120,7 @@ def _profile(scale: float, table: Table) -> dict[str, list[list[str]]]:
         tell(f"profile: {contestant.title}")
         frames = max(MINIMUM_FRAMES, round(contestant.frames * scale))
         found[contestant.title] = profiling.profile_rows(True, contestant.seeds, frames)
-        print(f"{contestant.title}, {frames:,} env steps a seed. cProfile slows Python down, and native code not:\n")
+        print(f"{contestant.title}, {frames:,} env steps a seed. CPU time by the package at work, start-up included:\n")
         print(table(profiling.HEADER, found[contestant.title]) + "\n")
     return found
 

@@ -10,7 +10,7 @@ from carrl.registration import register_with_gymnasium, register_with_torchrl
 _IMPORTED_AT = time.monotonic()
 
 if TYPE_CHECKING:
-    from carrl import log, sb3
+    from carrl import log, sb3, train
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
     from carrl.env.track_env import TrackEnv
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from carrl.task.reward import Reward, paper_reward
     from carrl.task.start import Start
     from carrl.tracks.track import Track
+    from carrl.train.run import Run
 
 __all__ = [
     "Bicycle",
@@ -30,6 +31,7 @@ __all__ = [
     "GymVectorTrackEnv",
     "Observation",
     "Reward",
+    "Run",
     "Sensor",
     "Start",
     "Track",
@@ -41,6 +43,7 @@ __all__ = [
     "paper_reward",
     "rays_and_last_action",
     "sb3",
+    "train",
 ]
 
 try:
@@ -59,6 +62,7 @@ _HOMES = {
     "GymVectorTrackEnv": "carrl.env.gym_vector_env",
     "Observation": "carrl.task.observation",
     "Reward": "carrl.task.reward",
+    "Run": "carrl.train.run",
     "Sensor": "carrl.sim.sensor",
     "Start": "carrl.task.start",
     "Track": "carrl.tracks.track",
@@ -77,7 +81,7 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     """Imports a public name on first use, so that `carrl log` starts without waiting for torch."""
-    if name in ("log", "sb3"):
+    if name in ("log", "sb3", "train"):
         return importlib.import_module(f"carrl.{name}")
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)

@@ -1,13 +1,17 @@
-"""Where the configuration lives, and how a node of it becomes an object."""
+"""Where the configuration lives, and how a node of it becomes an object.
+
+What a person types may name any class or function that can be imported; what a run's folder says, only those that
+`TARGETS` lists, unless the person trusts their module: `check_targets` is the border between the two.
+"""
 
 import inspect
+import pkgutil
+import sys
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from hydra.utils import get_object
+from typing import Any, NoReturn
 
 from carrl.errors import ConfigError, shown
 
@@ -24,6 +28,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "reward": tuple(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
     "start": ("carrl.task.start.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
+    "algorithm": ("carrl.algorithms.dqn.dqn.DQNRecipe",),
     "network": (
         "carrl.algorithms.common.network.make_q_network",
         "carrl.algorithms.common.network.make_dueling_network",
@@ -43,7 +48,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.algorithms.dqn.distributional_loss.make_distributional_loss",
     ),
     "returns": ("carrl.data.returns.NStepReturns",),
-    "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.GradientClipping",),
+    "gradient_clipping": ("carrl.algorithms.common.gradient_clipping.make_gradient_clipping",),
     "learning_rate": (
         "carrl.algorithms.common.learning_rate.LinearDecay",
         "carrl.algorithms.common.learning_rate.CosineDecay",
@@ -68,10 +73,12 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "evaluation": ("carrl.train.plan.EvaluationPlan",),
     "data": ("carrl.train.plan.OfflinePlan",),
 }
-"""All that a config may build, by its node's name: those that `conf/` names and no others.
+"""CarRL's own parts, by their node's name: those that `conf/` names. The first is built where a node names none.
 
 A run's folder can come from a stranger, and what its config names is called when the run is evaluated.
 """
+_ADDED: set[str] = set()
+"""The folders that were added to those in which Python looks for modules."""
 MOST = 2.0**53
 """No number in a config may be larger, so that none overflows; floats tell whole numbers apart up to here."""
 MOST_ITEMS = 4096
@@ -92,20 +99,102 @@ def config_dir() -> Path:
     raise ConfigError(f"no configuration: neither {candidates[0]} nor {candidates[1]} holds train.yaml; install again")
 
 
+def foreign_targets(config: Mapping[str, Any]) -> dict[str, object]:
+    """What a config names that is not CarRL's for its place, by place, such as "reward.comfort"."""
+    return {
+        place: target
+        for group, node in config.items()
+        for place, target in _targets(str(group), node)
+        if target not in TARGETS.get(str(group), ())
+    }
+
+
+def _targets(place: str, node: Any) -> Iterator[tuple[str, object]]:
+    for key, value in node.items() if isinstance(node, Mapping) else ():
+        if key == "_target_":
+            yield place, value
+        else:
+            yield from _targets(f"{place}.{key}", value)
+
+
+def check_targets(config: Mapping[str, Any], trust: Iterable[str] = ()) -> None:
+    """Lets nothing be built from the config of a run's folder but CarRL's own parts and those of trusted modules.
+
+    Args:
+        config: as it was read from the folder.
+        trust: names of modules, or paths of their files, such as "parts" or "mine/parts.py".
+
+    Raises:
+        ConfigError: the config names something else; the message says how to trust it.
+    """
+    trusted = [_importable_name(each) for each in trust]
+    for place, target in foreign_targets(config).items():
+        if not isinstance(target, str) or "." not in target:
+            _refuse(place, target)
+        if not _is_within(target, trusted):
+            own = "" if target.startswith("carrl.") else f"; if you trust that module, add --trust {module_of(target)}"
+            raise ConfigError(f"{place}._target_ is {shown(target)}, which is not one of CarRL's own{own}")
+        if not _is_within(f"{getattr(_imported(place, target), '__module__', '')}.", trusted):
+            raise ConfigError(f"{place}._target_ is {shown(target)}, which its module has only imported; name its own")
+
+
+def _is_within(name: str, modules: Sequence[str]) -> bool:
+    return any(name.startswith(f"{module}.") for module in modules)
+
+
+def module_of(target: str) -> str:
+    """The outermost module of a dotted name: what is to be trusted if it is to be called."""
+    return target.partition(".")[0]
+
+
+def _importable_name(module: str) -> str:
+    """The name of a module that is given by its name or its file, which can then be imported."""
+    path = Path(module)
+    if path.suffix != ".py" and not path.is_dir():
+        make_importable_from([Path.cwd()])
+        return module
+    make_importable_from([path.absolute().parent])
+    return path.stem
+
+
+def name_for_trust(module: str) -> str:
+    """What to give for this module, once imported, to trust it: its name, or its file where that is found elsewhere."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    path = Path(file) if file else Path(module)
+    path = path.parent if path.name == "__init__.py" else path
+    is_here = path.parent == Path.cwd() or str(path.parent) not in _ADDED
+    return module if is_here else str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
+
+
+def make_importable(config: Mapping[str, Any], folders: Iterable[Path]) -> None:
+    """Lets modules here, in these folders and just above them be imported, if the config names any but CarRL's own."""
+    if foreign_targets(config):
+        make_importable_from(
+            [Path.cwd(), *(place for folder in folders for place in (folder, folder.absolute().parent))]
+        )
+
+
+def make_importable_from(folders: Iterable[Path]) -> None:
+    """Lets modules in these folders be imported, unless another one of the same name comes first."""
+    new = [each for each in dict.fromkeys(str(folder.absolute()) for folder in folders) if each not in sys.path]
+    _ADDED.update(new)
+    sys.path += new
+
+
 def build_node(name: str, node: Mapping[str, Any], *, targets: Sequence[str] | None = None, **dependencies: Any) -> Any:
     """Calls a config node's `_target_` with the node's values and with what only the program knows.
 
     Args:
         name: the node's place in the config, for messages.
-        node: `_target_`, and one value for each keyword that the user may choose.
-        targets: what it may name; by default what `TARGETS` lists under its place.
+        node: `_target_`, unless there is but one of CarRL's own, and a value for each keyword that the user chooses.
+        targets: CarRL's own; by default what `TARGETS` lists under its place.
         dependencies: keyword arguments that are objects, such as the network of a loss.
 
     Raises:
-        ConfigError: the target is not allowed, or a value has no place in it or another type than it wants.
+        ConfigError: the target cannot be, or a value has no place in it or another type than it wants.
     """
     target = _find_target(name, node, TARGETS.get(name, ()) if targets is None else targets)
-    values = {key: value for key, value in node.items() if key not in ("_target_", "_partial_")}
+    values = {key: value for key, value in node.items() if key != "_target_"}
     _check_values(name, target, values, dependencies)
     try:
         return target(**values, **dependencies)
@@ -130,12 +219,30 @@ def _build_term(group: str, name: Any, node: Mapping[str, Any]) -> Any:
     return build_node(f"{group}.{name}", node, targets=TARGETS[group])
 
 
-def _find_target(name: str, node: Mapping[str, Any], allowed: Sequence[str]) -> Callable[..., Any]:
-    path = node.get("_target_") if isinstance(node, Mapping) else None
-    if not isinstance(path, str) or path not in allowed:
-        raise ConfigError(f"{name}._target_ is {shown(path)}; it must be {' or '.join(allowed)}")
-    target: Callable[..., Any] = get_object(path)
+def _find_target(name: str, node: Mapping[str, Any], own: Sequence[str]) -> Callable[..., Any]:
+    if not isinstance(node, Mapping):
+        raise ConfigError(f"{name} is {shown(node)}; it must be a mapping of keys to values")
+    path = node.get("_target_", own[0] if len(own) == 1 else None)
+    if not isinstance(path, str) or "." not in path or (path.startswith("carrl.") and path not in own):
+        _refuse(name, path)
+    target: Callable[..., Any] = _imported(name, path)
     return target
+
+
+def _imported(place: str, path: str) -> Any:
+    try:
+        found = pkgutil.resolve_name(path)
+    except Exception as error:  # whatever its module raises as it is imported
+        reason = f"{type(error).__name__}: {error}"
+        raise ConfigError(f"{place}._target_ is {shown(path)}, which cannot be imported: {reason}") from error
+    if not callable(found):
+        raise ConfigError(f"{place}._target_ is {shown(path)}, which is no class or function")
+    return found
+
+
+def _refuse(name: str, target: object) -> NoReturn:
+    own = TARGETS.get(name, TARGETS.get(name.partition(".")[0], ()))
+    raise ConfigError(f"{name}._target_ is {shown(target)}; it must be {' or '.join(own)}")
 
 
 def _check_values(

@@ -1,6 +1,11 @@
 """Errors that a user can cause and mend; the command line prints their message alone and exits with 2."""
 
+import difflib
 import reprlib
+from collections.abc import Iterable
+
+CLOSE = 0.6
+"""How alike a name must be to one that there is, to be meant by it: 0 to 1."""
 
 
 class CarrlError(Exception):
@@ -37,3 +42,9 @@ def shown(value: object) -> str:
     except ValueError:  # an integer of more digits than Python prints
         return "too long a number"
     return text if len(text) <= 40 else f"{text[:40]}..."
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """The rest of a sentence that names the nearest of the names; nothing if none is near."""
+    close = difflib.get_close_matches(name, list(names), n=1, cutoff=CLOSE)
+    return f"; did you mean {close[0]}?" if close else ""

@@ -1,9 +1,31 @@
-"""The states of random generators, to be kept and to be put back."""
+"""Random generators: one for each part of each replicate, and their states, to be kept and to be restored."""
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
+
+_PARTS = ("env", "network", "exploration", "replay_buffer", "noise")
+"""Each one's seed depends on its place."""
+
+
+def part_generator(seed: int, part: str) -> torch.Generator:
+    """A generator for one part of the replicate with this seed, so that no part's draws shift what another one draws.
+
+    Raises:
+        ValueError: there is no such part.
+    """
+    return torch.Generator().manual_seed(part_seed(seed, part))
+
+
+def part_seed(seed: int, part: str) -> int:
+    """The seed of one part.
+
+    Raises:
+        ValueError: there is no such part.
+    """
+    return int(np.random.SeedSequence(seed).generate_state(len(_PARTS))[_PARTS.index(part)])
 
 
 def states_of(generators: Sequence[torch.Generator]) -> list[Tensor]:

@@ -20,7 +20,7 @@ of range, and parts that do not go together each end in one sentence, with what 
 ```console
 $ carrl train loss=double_dqn target_updater=soft target_updater.tau=0.01
 $ carrl train -m experiment=fast loss=dqn,double_dqn,dueling,distributional
-$ carrl train -m experiment=fast returns=one_step,n_step replay_buffer=uniform,prioritized trainer.seeds=[0..9]
+$ carrl train -m experiment=fast returns.steps=1,3 replay_buffer=uniform,prioritized trainer.seeds=[0..9]
 ```
 
 The reward and the observation are sums and rows of terms, each with keys of its own; a term set to `null` is left out:
@@ -36,7 +36,7 @@ What each part of learning does to the first lap stands in [results.md](results.
 | `network=distributional` and another loss than `loss=distributional`, or the other way round | the loss needs the probabilities of returns, and other losses their mean; `loss=distributional` picks the network |
 | `loss=dueling` and another network than `network=dueling` | `loss=dueling` picks it, and is Double DQN otherwise |
 | `loss=cql` and `replay_buffer=prioritized` | the conservative term weighs all transitions alike |
-| `data=log` and `returns=n_step` | a log may hold every other episode or car only, and not the steps between |
+| `data=log` and `returns.steps=3` | a log may hold every other episode or car only, and not the steps between |
 
 Everything else goes together, several agents (`trainer.seeds`) and `resume=RUN` included. `network=noisy` explores by itself,
 so that `exploration=constant exploration.epsilon=0` is its usual companion, but it need not be.

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.small_episode import scene, trace, track_shape  # noqa: F401 (fixtures)
+
 REAL_CIRCUITS = Path(__file__).resolve().parents[2] / "shared" / "tracks" / "real"
 
 

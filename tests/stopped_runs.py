@@ -2,12 +2,11 @@
 
 import csv
 import json
-from contextlib import contextmanager
 
 import torch
 
 from carrl.cli.main import main
-from carrl.cli.text.console import TrainingDisplay
+from carrl.cli.text.console import ProgressDisplay, RoadWarning
 from carrl.log import load, read_episodes, verify
 from carrl.train.checkpoint import load_checkpoint
 
@@ -41,16 +40,9 @@ def stop_at(monkeypatch, frames):
         if trainer.frames >= frames:
             trainer.stop()
 
-    monkeypatch.setattr(TrainingDisplay, "__call__", interrupt)
+    monkeypatch.setattr(ProgressDisplay, "on_round", interrupt)
     if frames == 0:
-        monkeypatch.setattr("carrl.cli.training.stopping_on_signals", stopping_at_once)
-
-
-@contextmanager
-def stopping_at_once(trainer):
-    """As if a signal had come before the first step."""
-    trainer.stop()
-    yield
+        monkeypatch.setattr(RoadWarning, "on_start", lambda observer, trainer: trainer.stop())
 
 
 def train(folder, *overrides):

@@ -4,6 +4,8 @@ import dataclasses
 import importlib.util
 import json
 import subprocess
+import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +15,8 @@ from benchmarks.contestants import CONTESTANTS, SB3, Contestant
 from benchmarks.figures import Measurement
 from benchmarks.peers import PEERS
 from benchmarks.settings import epsilon_after
+from carrl import TrackEnv
+from carrl.task.reward import Collision
 
 ONE_CAR, MANY_CARS = SB3.values()
 
@@ -95,41 +99,37 @@ def test_the_first_lap_is_the_first_one_that_the_next_evaluation_confirms(laps, 
     assert recipes.confirmed_lap(laps) == row
 
 
-LOOP, UPDATE, SAMPLE, CALL = (
-    ("/x/carrl/run/trainer.py", 8, "run"),
-    ("/x/carrl/run/learner.py", 5, "learn"),
-    ("/x/carrl/data/buffer.py", 7, "sample"),
-    ("/x/torch/module.py", 9, "call"),
-)
-PROFILE = {
-    LOOP: (1, 1, 1.0, 10.0, {}),
-    UPDATE: (9, 9, 2.0, 6.0, {LOOP: (9, 9, 2.0, 6.0)}),
-    SAMPLE: (9, 9, 1.0, 1.5, {UPDATE: (9, 9, 1.0, 1.5)}),
-    CALL: (20, 20, 3.0, 3.0, {LOOP: (5, 5, 1.0, 1.0), UPDATE: (15, 15, 2.0, 2.0)}),
-}
-PARTS = (
-    profiling.Part("loop", ("carrl/train/trainer.py:run",), ""),
-    profiling.Part("update", ("carrl/train/learner.py:learn",), "loop"),
-    profiling.Part("sampling", ("carrl/data/buffer.py:sample",), "update"),
-    profiling.Part("policy", ("carrl/train/trainer.py:run > torch/module.py:call",), "loop"),
-)
+def test_the_time_of_a_run_counts_for_the_packages_that_are_at_work():
+    env = TrackEnv("oval", num_envs=64, seed=0)
+    with profiling.Timer() as timer:
+        while not {"carrl.sim", "torchrl.envs"} <= timer.seconds.keys() and sum(timer.seconds.values()) < 60:
+            env.rollout(50, break_when_any_done=False)
+    assert {"carrl.sim", "torchrl.envs"} <= timer.seconds.keys()
 
 
-def test_a_part_of_the_profile_has_its_time_without_that_of_its_inner_parts():
-    assert profiling.own_seconds(PROFILE, PARTS) == {"loop": 3.0, "update": 4.5, "sampling": 1.5, "policy": 1.0}
+def test_what_is_called_from_a_package_counts_for_it():
+    frames = []
+
+    class Noting:
+        def __mul__(self, weight):
+            frames.append(profiling.package_of(sys._getframe()))
+
+    Collision()(SimpleNamespace(outcome=SimpleNamespace(collided=Noting())))
+    assert frames == ["carrl.task"]
+    assert profiling.package_of(None) == profiling.OTHERS
 
 
-def test_a_profile_without_a_named_function_is_refused():
-    moved = (*PARTS, profiling.Part("log", ("carrl/train/folder.py:record",), "loop"))
-    with pytest.raises(BenchError, match=r"'carrl/train/folder\.py:record' was never called"):
-        profiling.own_seconds(PROFILE, moved)
-    with pytest.raises(BenchError, match=r"parts within 'sampling' take 1\.50 s more"):
-        profiling.own_seconds(PROFILE, (*PARTS, profiling.Part("calls", ("torch/module.py:call",), "sampling")))
+def test_the_rows_of_a_profile_are_shares_the_largest_first():
+    rows = profiling.rows_of({"carrl.log": 1.0, "torchrl.data": 3.0})
+    assert rows == [["torchrl.data", "3.00", "75.0%"], ["carrl.log", "1.00", "25.0%"]]
+    with pytest.raises(BenchError, match="no code of CarRL was seen at work, only imports"):
+        profiling.rows_of({"imports": 1.0})
 
 
-def test_every_part_of_the_profile_is_within_another_one():
-    names = {part.name for part in profiling.PARTS}
-    assert {part.within for part in profiling.PARTS} <= names | {""}
+@pytest.mark.slow
+def test_a_training_is_profiled():
+    packages = {package for package, *_ in profiling.profile_rows(False, 1, 512)}
+    assert {"carrl.sim", "torchrl.collectors"} <= packages
 
 
 def test_the_race_prints_its_table_and_keeps_every_round(tmp_path, monkeypatch, capsys):

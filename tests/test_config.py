@@ -1,8 +1,5 @@
 """Every YAML file is a working choice, explained key by key."""
 
-import ast
-from pathlib import Path
-
 import pytest
 import yaml
 
@@ -29,15 +26,15 @@ def test_every_option_of_every_group_builds(leaf):
     if option == "ray":
         pytest.importorskip("ray", reason="clusters need it; pip install 'carrl[ray]'")
     pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
-    assert pipeline.env.batch_size[0] >= 1
-    pipeline.collector.shutdown()
+    assert pipeline.source.env.batch_size[0] >= 1
+    pipeline.source.collector.shutdown()
 
 
 def test_a_track_file_is_an_option_of_the_track_group(real_circuits):
     path = real_circuits / "Norisring.csv"
     pipeline = build_pipeline(compose("track=file", f"track.name_or_path='{path}'"))
     assert pipeline.world.track.name == "Norisring.csv"
-    pipeline.collector.shutdown()
+    pipeline.source.collector.shutdown()
 
 
 def test_the_default_is_table_i_of_the_paper():
@@ -67,7 +64,7 @@ def test_double_dqn_differs_from_dqn_by_the_loss_alone():
     dqn, double = compose(), compose("loss=double_dqn")
     assert double.pop("loss") == dqn.pop("loss") | {"double_dqn": True}
     assert dqn == double
-    assert build_pipeline(compose("loss=double_dqn")).agents[0].loss.double_dqn
+    assert build_pipeline(compose("loss=double_dqn")).algorithm.replicates[0].loss.double_dqn
 
 
 @pytest.mark.parametrize("leaf", LEAVES)
@@ -107,20 +104,3 @@ def test_a_wrong_value_is_one_clear_sentence(values, message):
 
 def test_whole_numbers_may_stand_for_floats():
     assert build_node("sensor", {"_target_": "carrl.sim.sensor.Sensor", "max_range": 5}).max_range == 5
-
-
-ORDER = ["sim", "env", "agent", "data", "record", "run", "view", "cli"]
-
-
-@pytest.mark.parametrize("path", sorted(Path("carrl").rglob("*.py")), ids=str)
-def test_imports_follow_the_flow_of_data(path):
-    if path.parts[1] not in ORDER:
-        pytest.skip("a module beside the layers")
-    layer = ORDER.index(path.parts[1])
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-        for name in names:
-            parts = name.split(".")
-            if parts[0] == "carrl" and len(parts) > 1 and parts[1] in ORDER:
-                assert ORDER.index(parts[1]) <= layer, f"{path} imports {name}"

@@ -12,13 +12,13 @@ from hypothesis.extra import numpy as arrays
 
 from carrl.errors import TrackError
 from carrl.log import read_columns, read_episodes, read_metrics
-from carrl.log.layout import tensordict_of
+from carrl.log.codec import tensordict_of
 from carrl.log.messages import Episode, Metrics
-from carrl.log.schema import COLUMNS
 from carrl.log.writer import LogWriter
 from carrl.plain_yaml import parse_yaml
 from carrl.tracks.centreline import Centreline
 from carrl.tracks.csv_file import read_csv, write_csv
+from tests.logs import make_schema
 
 exactly = settings(max_examples=25, deadline=None, derandomize=True)
 
@@ -62,8 +62,8 @@ def _apart(points):
     return kept
 
 
-def _values(column, count, rays):
-    shape = (count, *(rays if isinstance(extent, str) else extent for extent in column.shape))
+def _values(column, count):
+    shape = (count, *column.shape)
     if column.dtype == "bool":
         return arrays.arrays(np.bool_, shape)
     if column.dtype == "float32":
@@ -74,24 +74,25 @@ def _values(column, count, rays):
 
 @st.composite
 def batches(draw):
-    rays = draw(st.integers(1, 9))
+    schema = make_schema(draw(st.integers(1, 9)))
     drawn = []
     for count in draw(st.lists(st.integers(1, 5), min_size=1, max_size=4)):
-        drawn.append({column.name: draw(_values(column, count, rays)) for column in COLUMNS})
+        drawn.append({column.name: draw(_values(column, count)) for column in schema.columns})
     times = sorted(draw(st.lists(st.integers(0, 2**63 - 1), min_size=20, max_size=20)))
     for columns in drawn:
         columns["time_ns"], times = np.array(times[: len(columns["action"])]), times[len(columns["action"]) :]
-    return drawn
+    return schema, drawn
 
 
 @settings(exactly, max_examples=15)
 @given(batches())
 def test_transitions_of_any_values_come_back_bit_for_bit(folder, drawn):
-    with LogWriter(folder / "a.mcap", attachments={}, metadata={}) as writer:
+    schema, drawn = drawn
+    with LogWriter(folder / "a.mcap", schema=schema, attachments={}, metadata={}) as writer:
         for columns in drawn:
-            writer.write(tensordict_of(columns))
+            writer.write(tensordict_of(columns, schema))
     found = read_columns(folder / "a.mcap")
-    for column in COLUMNS:
+    for column in schema.columns:
         written = np.concatenate([columns[column.name] for columns in drawn])
         assert found[column.name].dtype == written.dtype
         assert found[column.name].tobytes() == written.tobytes(), column.name
@@ -113,7 +114,7 @@ episodes = st.builds(
 @exactly
 @given(st.lists(episodes, max_size=4), st.lists(st.builds(Metrics, whole, whole, *[number] * 5), max_size=4))
 def test_episodes_and_metrics_of_any_values_come_back(folder, ended, told):
-    with LogWriter(folder / "a.mcap", attachments={}, metadata={}) as writer:
+    with LogWriter(folder / "a.mcap", schema=make_schema(), attachments={}, metadata={}) as writer:
         for episode in sorted(ended, key=lambda each: each.end_ns):
             writer.write_episode(episode)
         for metrics in told:

@@ -14,8 +14,7 @@ from benchmarks.log_faults.blow import CHECKPOINT, RENAMING, Blow, Watch, places
 from benchmarks.log_faults.contents import LogContents
 from benchmarks.log_faults.resume import ANY_MOMENT, WRITING, Reference, Resume
 from benchmarks.log_faults.same_run import RunContents, differences
-from carrl.train.checkpoint import load_checkpoint
-from carrl.train.state_file import StateFile
+from carrl.train.checkpoint import StateFile, load_checkpoint
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=320", "replay_buffer.batch_size=16"]
 

@@ -7,7 +7,6 @@ import ast
 import json
 import os
 import pickle
-import time
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +15,11 @@ import torch
 
 from carrl.cli.main import main
 from carrl.log.writer import LogWriter
-from carrl.report.choices import HYDRA, OVERRIDES
-from carrl.report.sweeps import SWEEP
+from carrl.report.groups import HYDRA, OVERRIDES
+from carrl.report.problems import SWEEP
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path
+from tests.logs import make_schema
+from tests.operations import count_calls
 from tests.strangers import Payload, make_run, proves_harmful, refused
 
 SQUARE = "corners: [[0, 0], [60, 0], [60, 60], [0, 60]]\ncorner_radius: 10\nwidth: 8\n"
@@ -107,11 +108,9 @@ def test_a_road_of_too_many_points_is_refused_at_once(tmp_path, capsys):
     assert "at most 100000 points" in refused(capsys, "track", "check", tmp_path / "a.npy")
 
 
-def test_millions_of_faults_are_told_in_seconds(tmp_path, capsys):
+def test_millions_of_faults_are_told_with_little_work(tmp_path, capsys):
     (tmp_path / "a.csv").write_text(ring(1500, 1, 5000))
-    began = time.monotonic()
-    assert main(["track", "check", str(tmp_path / "a.csv")]) == 1
-    assert time.monotonic() - began < 8
+    assert count_calls(lambda: main(["track", "check", str(tmp_path / "a.csv")])) < 2_000_000
     assert "more places" in capsys.readouterr().out
 
 
@@ -128,7 +127,7 @@ def test_a_log_with_payloads_is_read_as_data(tmp_path, marker, capsys):
         "\x1b[2J": b"",
     }
     entries = {"action_names": f"__import__('os').system('touch {marker}')", "\x1b]0;x\x07": "\x1b[31m"}
-    with LogWriter(tmp_path / "a.mcap", attachments=attachments, metadata=entries):
+    with LogWriter(tmp_path / "a.mcap", schema=make_schema(), attachments=attachments, metadata=entries):
         pass
     for verb in (["info"], ["ls"], ["stats"], ["check"], ["recover"], ["cat"], ["show"], ["replay", "--no-open"]):
         more = [tmp_path / "mended.mcap"] if verb == ["recover"] else []

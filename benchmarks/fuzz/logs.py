@@ -11,16 +11,15 @@ from mcap.records import Message
 from benchmarks.fuzz.mutation import mutate
 from benchmarks.fuzz.parser import Parser
 from benchmarks.fuzz.values import change
+from carrl.algorithms.dqn.dqn import dqn_columns
 from carrl.env.track_env import TrackEnv
 from carrl.errors import DamagedLogError, LogError
-from carrl.log import Log, read_trace, recover, verify
+from carrl.log import Log, read_trace, recover, summarise, verify
 from carrl.log.codec import Batch, Columns, encode_small
-from carrl.log.log_file import begin_log
+from carrl.log.log_file import begin_log, chunk_beginning, describe, with_checksum
 from carrl.log.messages import Episode, Metrics
-from carrl.log.metadata import describe, with_checksum
-from carrl.log.schema import CHANNELS, COLUMNS, EPISODES, METRICS, TRANSITIONS
-from carrl.log.summary import summarise
-from carrl.train.provenance import describe_run
+from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS, Schema
+from carrl.train.provenance import describe_run, log_schema
 
 _STEPS, _RUN = 6, 0x1234567890ABCDEF
 _TIMES = (0, 1, 10**8, 10**9, 2**40, 2**63 - 1)
@@ -38,6 +37,11 @@ class LogFile(Parser):
     def entries(self) -> dict[str, str]:
         """What a run says of itself."""
         return describe_run(TrackEnv("oval", num_envs=1, seed=0), 0, 1)
+
+    @cached_property
+    def schema(self) -> Schema:
+        """The columns of such a run."""
+        return log_schema(TrackEnv("oval", num_envs=1, seed=0), dqn_columns(("forward", "left", "right")))
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -61,9 +65,12 @@ class LogFile(Parser):
             metadata[draw.choice(list(metadata))] = draw.choice(("", "x", "2", "f" * 16))
             metadata = with_checksum(metadata)
         self.path.unlink(missing_ok=True)
-        file = begin_log(self.path, metadata, attachments)
+        file = begin_log(self.path, metadata, attachments, self.schema)
         for _ in range(draw.choice((0, 1, 2, 3))):
-            file.add_chunk(self._messages(draw))
+            beginning = chunk_beginning(f"{_RUN:016x}", self.schema)
+            file.add_chunk(
+                self._messages(draw), mutate(draw, beginning, [beginning]) if draw.random() < 0.1 else beginning
+            )
         file.finish()
         file.close()
         if draw.random() < 0.3:
@@ -84,7 +91,7 @@ class LogFile(Parser):
         for number in range(draw.choice((1, 1, 2, 3))):
             if topic == TRANSITIONS:
                 offset = number * _STEPS if draw.random() < 0.9 else draw.choice((0, 1, 2**63))
-                content = Batch(run, offset, self._columns(draw)).encode()
+                content = Batch(self.schema, run, offset, self._columns(draw)).encode()
             elif topic == EPISODES:
                 ended = "collision" if draw.random() < 0.8 else "\x1b[31m"
                 pose = (1.0, 2.0, 3.0)[: draw.choice((3, 3, 3, 2))]
@@ -103,11 +110,7 @@ class LogFile(Parser):
         return messages
 
     def _columns(self, draw: Random) -> Columns:
-        rays = 7 if draw.random() < 0.9 else draw.choice((0, 1, 31))
-        columns = {
-            c.name: np.zeros((_STEPS, *(rays if isinstance(extent, str) else extent for extent in c.shape)), c.dtype)
-            for c in COLUMNS
-        }
+        columns = {c.name: np.zeros((_STEPS, *c.shape), c.dtype) for c in self.schema.columns}
         columns["step"], columns["time_ns"] = np.arange(_STEPS), np.arange(_STEPS) * 10**8
         for _ in range(draw.choice((0, 0, 1, 2))):
             values = columns[draw.choice(list(columns))]

@@ -20,12 +20,11 @@ from benchmarks.fuzz.values import VALUES, change
 from carrl.config import config_dir
 from carrl.errors import CarrlError
 from carrl.report.findings import find
-from carrl.report.reading import DAMAGED
+from carrl.report.runs import DAMAGED
 from carrl.report.text import report_text
-from carrl.train.build import build_network, build_world
+from carrl.train.build import build_network, build_world, load_greedy_policy
 from carrl.train.checkpoint import FORMAT_VERSION
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path, load_config
-from carrl.train.folder import load_greedy_policy
 from carrl.train.plan import checked_seed
 
 _READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")

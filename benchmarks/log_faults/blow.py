@@ -44,13 +44,13 @@ class Watch:
 
     def patches(self) -> Iterator[Any]:
         """What to put in the place of CarRL's functions, made in the run itself."""
-        from carrl.log import mcap_file
+        from carrl.log import mcap_write
         from carrl.train import checkpoint
 
-        self._write_at, self._replace = mcap_file._write_at, os.replace
+        self._write_at, self._replace = mcap_write._write_at, os.replace
         yield patch.object(checkpoint, "write_whole", self._write_checkpoint)
         yield patch.object(os, "replace", self._rename)
-        yield patch.object(mcap_file, "_write_at", self._write_log)
+        yield patch.object(mcap_write, "_write_at", self._write_log)
 
     def strike(self, number: int) -> None:
         """Sends the signal, and leaves a note of when."""
@@ -85,7 +85,7 @@ class Watch:
                 os.fsync(file.fileno())
 
     def _rename(self, source: Any, target: Any) -> None:
-        from carrl.train.state_file import PREVIOUS, STATE
+        from carrl.train.checkpoint import PREVIOUS, STATE
 
         is_state = Path(target).name in (PREVIOUS.name, STATE.name) and Path(source).exists()
         blow = self._struck_here(RENAMING) if is_state else None

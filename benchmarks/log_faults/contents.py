@@ -12,7 +12,7 @@ import numpy as np
 from carrl.log.codec import Columns, encode_small
 from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
-from carrl.log.schema import COLUMNS, EPISODES, METRICS
+from carrl.log.schema import EPISODES, METRICS
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def read_contents(path: Path) -> LogContents:
 def rows_of(columns: Columns) -> list[bytes]:
     """The bytes of each transition, its columns one after the other."""
     count = len(columns["action"])
-    parts = [np.ascontiguousarray(columns[c.name]).reshape(count, -1).view(np.uint8) for c in COLUMNS] if count else []
+    parts = [np.ascontiguousarray(values).reshape(count, -1).view(np.uint8) for values in columns.values() if count]
     return [row.tobytes() for row in np.concatenate(parts, axis=1)] if count else []
 
 

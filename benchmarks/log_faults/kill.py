@@ -13,7 +13,7 @@ from benchmarks.log_faults.contents import LogContents, read_contents
 from benchmarks.log_faults.sample import Piece, read_sample
 from benchmarks.log_faults.training import Note, Tear, TrainingRun
 from carrl.log import recover, verify
-from carrl.log.metadata import CHECKSUM
+from carrl.log.log_file import CHECKSUM
 from carrl.log.schema import TRANSITIONS
 
 MOST_LOST_S = 2.0

@@ -70,7 +70,7 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
 def _run_pairs(arguments: argparse.Namespace, pairs: list[Pair]) -> None:
     """Adds the pairs one by one."""
     preload()
-    for name in ("carrl.cli.log", "carrl.cli.sweep_job", "carrl.sim.kernels", "matplotlib.pyplot"):
+    for name in ("carrl.cli.log", "carrl.train.experiment", "carrl.sim.kernels", "matplotlib.pyplot"):
         importlib.import_module(name)
     with tempfile.TemporaryDirectory() as folder:
         references = make_references(Path(folder), OVERRIDES, arguments.frames)

@@ -14,10 +14,10 @@ from benchmarks.child import BenchError
 from benchmarks.log_faults.blow import CHECKPOINT, LOG, RENAMING, Blow, Watch, places_in, struck_s
 from benchmarks.log_faults.same_run import RunContents, differences, read_run
 from benchmarks.log_faults.training import TrainingRun, run_path
-from carrl.cli.signals import INTERRUPTED
+from carrl.cli.process import INTERRUPTED
 from carrl.errors import CarrlError
+from carrl.train.checkpoint import PREVIOUS, STATE
 from carrl.train.files import CONFIG, load_config
-from carrl.train.state_file import PREVIOUS, STATE
 
 LONGEST_EXIT_S = 5.0
 """How long a run may go on after SIGTERM."""

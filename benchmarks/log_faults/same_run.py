@@ -12,9 +12,8 @@ from torch import Tensor
 from benchmarks.log_faults.contents import LogContents, read_contents
 from benchmarks.log_faults.kill import common_entries
 from carrl.log import verify
-from carrl.train.checkpoint import load_checkpoint
+from carrl.train.checkpoint import STATE, load_checkpoint
 from carrl.train.files import EVALUATIONS, LOG, METRICS, SUMMARY
-from carrl.train.state_file import STATE
 
 _WALL_TIME = {"wall_time_s", "first_update_s", "start_up_s"}
 _OF_WALL_TIME = {"log", "tables"}

@@ -12,10 +12,11 @@ from benchmarks.child import BenchError
 from benchmarks.log_faults.contents import LogContents, read_contents
 from benchmarks.log_faults.training import TrainingRun
 from carrl.log.codec import Batch
-from carrl.log.mcap_index import IndexedFile
-from carrl.log.schema import CHANNELS, TRANSITIONS
+from carrl.log.mcap_read import IndexedFile
+from carrl.log.reader import Log
+from carrl.log.schema import CHANNELS, TRANSITIONS, Schema
 
-_SMALL_CHUNKS = {"carrl.train.trainer.LOGGED_TOGETHER": 96, "carrl.log.writer.FLUSH_INTERVAL_S": 0.0}
+_SMALL_CHUNKS = {"carrl.train.callbacks.LOGGED_TOGETHER": 96, "carrl.log.writer.FLUSH_INTERVAL_S": 0.0}
 """Constants with which even a short run's log has many chunks."""
 _TOPICS = {number: topic for topic, number in CHANNELS.items()}
 
@@ -80,6 +81,8 @@ def read_sample(path: Path) -> Sample:
     Raises:
         LogError: it is not an intact log.
     """
+    with Log(path) as log:
+        schema = log.file_schema
     with IndexedFile(path) as file:
         content = path.read_bytes()
         pieces = []
@@ -87,7 +90,7 @@ def read_sample(path: Path) -> Sample:
             pieces.append(_piece(content, metadata.offset, metadata.length, "metadata"))
         for attachment in file.index.attachments:
             pieces.append(_piece(content, attachment.offset, attachment.length, "attachment", attachment.name))
-        pieces += _chunks(file, content)
+        pieces += _chunks(file, content, schema)
     return Sample(content, read_contents(path), pieces)
 
 
@@ -95,20 +98,20 @@ def _piece(content: bytes, begin: int, length: int, kind: str, name: str = "") -
     return Piece(begin, content[begin : begin + length], kind, name, {})
 
 
-def _chunks(file: IndexedFile, content: bytes) -> Iterator[Piece]:
+def _chunks(file: IndexedFile, content: bytes, schema: Schema) -> Iterator[Piece]:
     before: Counter[str] = Counter()
     for entry in file.index.chunks:
-        within = _count(file, entry)
+        within = _count(file, entry, schema)
         record = content[entry.chunk_start_offset :][: entry.chunk_length]
         holds = {topic: range(before[topic], before[topic] + count) for topic, count in within.items()}
         yield Piece(entry.chunk_start_offset, record, "chunk", "", holds)
         before += within
 
 
-def _count(file: IndexedFile, entry: ChunkIndex) -> Counter[str]:
+def _count(file: IndexedFile, entry: ChunkIndex, schema: Schema) -> Counter[str]:
     """How many items of each topic a chunk has."""
     counts: Counter[str] = Counter()
     for message in file.messages(entry):
         topic = _TOPICS[message.channel_id]
-        counts[topic] += Batch.decode(message.data).count if topic == TRANSITIONS else 1
+        counts[topic] += Batch.decode(message.data, schema).count if topic == TRANSITIONS else 1
     return counts

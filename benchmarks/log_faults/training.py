@@ -181,21 +181,21 @@ class _Watch:
 
     def patches(self) -> Iterator[Any]:
         """What to put in the place of CarRL's functions: notes, then the functions themselves."""
-        from carrl.log import mcap_file
+        from carrl.data.episodes import EpisodeTracker
+        from carrl.log import mcap_write
         from carrl.log.writer import LogWriter
-        from carrl.train.trainer import Trainer
 
         for owner, name, look in (
-            (Trainer, "_learn_from", self._see_transitions),
+            (EpisodeTracker, "follow", self._see_transitions),
             (LogWriter, "write_episode", self._see_episode),
             (LogWriter, "write_metrics", self._see_metrics),
             (LogWriter, "close", self._see_closing),
-            (mcap_file, "_write_at", self._see_write),
+            (mcap_write, "_write_at", self._see_write),
         ):
             yield patch.object(owner, name, _preceded(look, getattr(owner, name)))
 
-    def _see_transitions(self, trainer: Any, batch: Any) -> None:
-        self._transitions = trainer.frames + batch.numel()
+    def _see_transitions(self, tracker: Any, batch: Any) -> None:
+        self._transitions = tracker.frames + batch.numel()
         self._note("transitions", self._transitions)
 
     def _see_episode(self, _writer: Any, _episode: Any) -> None:

@@ -5,8 +5,8 @@ The words of `carrl train` and `carrl tune` come from Hydra's own completion, th
 
 from collections.abc import Sequence
 
-from carrl.cli import overrides
 from carrl.errors import ConfigError
+from carrl.train import overrides
 
 _SELECTION = ("--episode", "--env", "--begin", "--end")
 _RANDOM = (
@@ -22,9 +22,9 @@ _RANDOM = (
 FLAGS = {
     "train": overrides.FLAGS,
     "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--storage"),
-    "evaluate": ("--track", "--starts", "--policy", "--checkpoint", "--json"),
-    "drive": ("--track", "--run", "--fps"),
-    "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size"),
+    "evaluate": ("--track", "--starts", "--policy", "--checkpoint", "--trust", "--json"),
+    "drive": ("--track", "--run", "--fps", "--trust"),
+    "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
     "track list": ("--json",),
     "track show": ("--out",),
     "track check": ("--json", "--body-radius", "--turn-radius", "--step-length", "--near-wall"),

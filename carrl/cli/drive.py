@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from carrl.cli.parser import Parser
+from carrl.cli.parser import Parser, add_trust
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
 from carrl.train.build import build_world
@@ -70,7 +70,7 @@ class Game:
     def __init__(self, env: GymTrackEnv, fps: float) -> None:
         """Opens the window."""
         self._picture = make_follow_picture(env.task, SIZE)
-        from carrl.render.raster import Window
+        from carrl.render.window import Window
 
         self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}")
         self._env, self._fps = env, fps
@@ -86,10 +86,10 @@ class Game:
         import pygame
 
         while self._runs:
-            self._window.show(self._picture.draw(self._env.scene(), self._message()), self._fps)
+            self._window.show(self._picture.draw(self._env.snapshot(), self._message()), self._fps)
             for event in pygame.event.get():
                 self._take(event)
-            if self._runs and not (self._shows_help or self._paused or self._env.scene().collided):
+            if self._runs and not (self._shows_help or self._paused or self._env.snapshot().collided):
                 self._env.step(self._next_action())
         self._note_attempt()
         self._window.close()
@@ -133,12 +133,12 @@ class Game:
         """What stands across the picture."""
         if self._shows_help:
             return HELP
-        if self._env.scene().collided:
+        if self._env.snapshot().collided:
             return ("hit a wall", "R\tback to the start", "Esc\tquit")
         return ("pause", "P\tgo on", "H\thelp") if self._paused else ()
 
     def _note_attempt(self) -> None:
-        scene, gates = self._env.scene(), self._env.task.simulator.track.gate_count
+        scene, gates = self._env.snapshot(), self._env.task.simulator.track.gate_count
         if scene.step:
             laps = scene.gates_passed // gates
             self._attempts.append(Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided))
@@ -172,13 +172,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--track", metavar="NAME|FILE", help="default: the run's, or without a run paper")
     parser.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
     parser.add_argument("--fps", type=float, metavar="F", help="time steps a second; default: real time")
+    add_trust(parser)
     return parser
 
 
 def _make_env(arguments: argparse.Namespace) -> GymTrackEnv:
     if arguments.run is None:
+        if arguments.trust:
+            raise ConfigError("--trust has no effect without --run; add that, or leave it out")
         return GymTrackEnv(arguments.track or "paper", render_mode="rgb_array")
-    world = build_world(load_config(Path(arguments.run)))
+    world = build_world(load_config(Path(arguments.run), arguments.trust))
     return GymTrackEnv(
         arguments.track or world.track,
         render_mode="rgb_array",

@@ -3,29 +3,33 @@
 import argparse
 import json
 import sys
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 
-from carrl.cli.evaluation_table import print_evaluation
-from carrl.cli.parser import Parser
-from carrl.cli.road_warning import warn_of_roads
+from carrl.cli.parser import Parser, add_trust
+from carrl.cli.text.console import warn
+from carrl.cli.text.many_runs import print_table
 from carrl.errors import ConfigError
-from carrl.evaluation.results import Drive, tally
-from carrl.evaluation.rollout import Policy, Survey, random_policy, rule_policy, rule_world
 from carrl.printable import printable
-from carrl.task.world import World
-from carrl.tracks.circuits import Folder, load_folder
-from carrl.tracks.track import Track
-from carrl.train.build import build_world
-from carrl.train.files import load_config, seed_folders
-from carrl.train.folder import load_greedy_policy
-from carrl.train.plan import checked_seed
+from carrl.train.experiment import road_warning
+from carrl.train.run import Run, load_tracks
 
-Laps = list[list[Drive]]
-"""The drives of each track."""
+HEADER = (
+    "laps",
+    "95 %",
+    "progress",
+    "collisions / km",
+    "95 %",
+    "lap reward",
+    "steps",
+    "forward share",
+    "switches / 100 m",
+    "near-wall share",
+)
+
+Figures = Mapping[str, Any]
 
 
 def main(argv: list[str]) -> int:
@@ -34,32 +38,14 @@ def main(argv: list[str]) -> int:
     if arguments.checkpoint and arguments.policy != "greedy":
         raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
     torch.set_num_threads(1)
-    runs = seed_folders(Path(arguments.run))
-    if arguments.policy != "greedy":
-        runs = runs[:1]  # of which the others differ in nothing that drives
-    configs = [load_config(run) for run in runs]
-    world = build_world(configs[0])
-    tracks, refused = _load_tracks(arguments.track)
-    tracks = tracks or list(world.circuits.validation)
-    warn_of_roads(tracks, world)
-    survey = Survey(world, tracks, arguments.starts)
-    policies = [
-        _make_policy(arguments.policy, run, arguments.checkpoint or "best", config, world)
-        for run, config in zip(runs, configs, strict=True)
-    ]
-    laps = [survey.drive(policy, rule_world(world) if policy is rule_policy else world) for policy in policies]
-    rule = survey.drive(rule_policy, rule_world(world)) if arguments.policy != "rule" else None
-    document = {
-        "run": arguments.run,
-        "policy": arguments.policy,
-        **_figures(tracks, laps, rule, world.vehicle.step_length),
-        **({"refused": refused} if refused else {}),
-    }
-    if len(runs) > 1:
-        document["runs"] = [
-            {"run": str(run), "seed": config["seed"], **_figures(tracks, [own], None, world.vehicle.step_length)}
-            for run, config, own in zip(runs, configs, laps, strict=True)
-        ]
+    run = Run.load(arguments.run, arguments.trust)
+    world = run.world
+    tracks, refused = load_tracks(arguments.track)
+    for path, reason in refused.items():
+        print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
+    warn(road_warning(tracks or world.circuits.validation, world))
+    document = run.evaluate(tracks, arguments.starts, arguments.policy, arguments.checkpoint or "best")
+    document |= {"run": arguments.run, **({"refused": refused} if refused else {})}
     if arguments.json:
         print(json.dumps(document, indent=2))
     else:
@@ -83,46 +69,52 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="start places, spread along the track")
     parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
     parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
+    add_trust(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     return parser
 
 
-def _load_tracks(names: Sequence[str]) -> tuple[list[Track], dict[str, str]]:
-    """The tracks of these names, files and folders; and why files of a folder were left out, which it prints, too."""
-    tracks: list[Track] = []
-    refused: dict[str, str] = {}
-    for name in names:
-        found = load_folder(Path(name)) if Path(name).is_dir() else Folder([Track.load(name)], {})
-        tracks += found.tracks
-        refused |= {str(path): reason for path, reason in found.refused.items()}
-    for path, reason in refused.items():
-        print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
-    return tracks, refused
+def print_evaluation(document: Figures) -> None:
+    """Prints a table of the tracks and, of several runs, one of these."""
+    tracks, name = document["tracks"], f"{document['policy']} policy"
+    rows = [row for track in tracks for row in _rows(track["track"], track)]
+    if len(tracks) > 1:
+        rows += _rows(f"all {len(tracks)} tracks", document["all"])
+    print_table(f"{name} of {document['run']}", ("track", *HEADER), rows)
+    runs = document.get("runs", ())
+    if runs:
+        print_table(f"{name} of each run, all tracks", ("seed", *HEADER), _rows_of_runs(runs, document["all"]))
 
 
-def _make_policy(name: str, run: Path, checkpoint: str, config: dict[str, Any], world: World) -> Policy:
-    if name == "rule":
-        return rule_policy
-    if name == "random":
-        return random_policy(checked_seed(config["seed"]), world.action)
-    return load_greedy_policy(run, checkpoint, config, world)
+def _rows_of_runs(runs: Sequence[Figures], together: Figures) -> list[list[str]]:
+    return [*([str(run["seed"]), *_cells(run["all"])] for run in runs), *_rows("all", together)]
 
 
-def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_length: float) -> dict[str, Any]:
-    """The figures of each track and of all, each with those of the rule."""
+def _rows(name: str, figures: Figures) -> list[list[str]]:
+    """A row of the policy's figures and, where they are known, one of the rule's."""
+    rows = [[name, *_cells(figures)]]
+    return [*rows, ["  rule", *_cells(figures["rule"])]] if "rule" in figures else rows
 
-    def beside(laps: Laps | None) -> dict[str, Any]:
-        return {} if laps is None else {"rule": tally([[each for own in laps for each in own]], step_length)}
 
-    of_tracks = [
-        {
-            "track": track.name,
-            "length_m": track.length,
-            **tally([laps[index] for laps in runs], step_length),
-            "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
-            **beside(rule and [rule[index]]),
-        }
-        for index, track in enumerate(tracks)
+def _cells(figures: Figures) -> list[str]:
+    low, high = figures["intervals"]["completion"]
+    least, most = figures["intervals"]["collisions_per_km"]
+    return [
+        f"{figures['laps_completed']}/{figures['starts']}",
+        f"{100 * low:.0f}-{100 * high:.0f}%",
+        _mean(figures, "progress", 100, 1, "%"),
+        f"{figures['collisions_per_km']:.3f}",
+        f"{least:.3f}-{most:.3f}",
+        f"{figures['lap_reward']:.0f}",
+        f"{figures['lap_steps']:.0f}",
+        _mean(figures, "forward_share", 100, 0, "%"),
+        _mean(figures, "switches_per_100m", 1, 1),
+        f"{figures['near_wall_share']:.1%}",
     ]
-    everything = [[each for own in laps for each in own] for laps in runs]
-    return {"tracks": of_tracks, "all": {**tally(everything, step_length), **beside(rule)}}
+
+
+def _mean(figures: Figures, name: str, scale: float, digits: int, unit: str = "") -> str:
+    """A mean with half the width of its interval, if it has one."""
+    interval = figures["intervals"][name]
+    text = f"{scale * figures[name]:.{digits}f}"
+    return f"{text}{unit}" if interval is None else f"{text}±{scale * (interval[1] - interval[0]) / 2:.{digits}f}{unit}"

@@ -5,7 +5,7 @@ import sys
 from contextlib import suppress
 
 import carrl
-from carrl.cli.output import OutputClosedError, guarded_output
+from carrl.cli.process import OutputClosedError, guarded_output
 from carrl.errors import CarrlError
 from carrl.printable import printable
 
@@ -57,7 +57,7 @@ def _run(arguments: list[str]) -> int:
 
         return complete(arguments[1:]) if verb == "--complete" else print_script(arguments[1:])
     if verb not in VERBS:
-        from carrl.cli.known_keys import did_you_mean
+        from carrl.errors import did_you_mean
 
         close = did_you_mean(verb, (*VERBS, "--version", "--help", "--shell-completion"))
         raise CarrlError(f"no verb {verb!r}{close or ';'} choose one of: {', '.join(VERBS)}")

@@ -5,8 +5,7 @@ import re
 from pathlib import Path
 from typing import NoReturn
 
-from carrl.cli.known_keys import did_you_mean
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, did_you_mean
 
 
 class Parser(argparse.ArgumentParser):
@@ -24,3 +23,14 @@ def named_folder(text: str) -> Path:
     if not text.strip():
         raise argparse.ArgumentTypeError("it lacks its value; name a folder")
     return Path(text)
+
+
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Adds the flag by which a run's folder may name parts that are not CarRL's."""
+    parser.add_argument(
+        "--trust",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="build parts of this module of your own, given by its name or file, if the run has any; may be repeated",
+    )

@@ -3,13 +3,12 @@
 import argparse
 from pathlib import Path
 
-from carrl.cli.parser import Parser, named_folder
+from carrl.cli.parser import Parser, add_trust, named_folder
 from carrl.errors import ConfigError
-from carrl.render.picture_file import picture_format
-from carrl.report.document import as_json
+from carrl.render import picture_format
+from carrl.report.document import as_json, write_report
 from carrl.report.findings import Findings, find
-from carrl.report.runs_table import best_lap_of
-from carrl.report.text import report_text
+from carrl.report.text import best_lap_of, report_text
 
 BIN_SIZE = 0.25
 """Of the search for the best possible lap, m."""
@@ -21,15 +20,13 @@ def main(argv: list[str]) -> int:
     _check(arguments)
     findings = find(arguments.directories, arguments.baseline)
     best_lap = (
-        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size)
+        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size, arguments.trust)
         if arguments.best_lap
         else None
     )
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:
-        from carrl.report.figures.folder import write_report  # brings Matplotlib, which text alone does not need
-
         write_report(arguments.out, findings, best_lap)
     if arguments.json:
         print(as_json(findings, best_lap))
@@ -44,8 +41,9 @@ def _check(arguments: argparse.Namespace) -> None:
     """Raises ConfigError for a flag that cannot be done as asked, before runs are read."""
     if arguments.curves:
         picture_format(arguments.curves, "--curves")
-    if arguments.bin_size is not None and not arguments.best_lap:
-        raise ConfigError("--bin-size has no effect without --best-lap; add that, or leave it out")
+    for flag, value in (("--bin-size", arguments.bin_size is not None), ("--trust", arguments.trust)):
+        if value and not arguments.best_lap:
+            raise ConfigError(f"{flag} has no effect without --best-lap; add that, or leave it out")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -77,15 +75,16 @@ def _parser() -> argparse.ArgumentParser:
         metavar="M",
         help=f"of the search, m (default: {BIN_SIZE}); half of it takes four times longer",
     )
+    add_trust(parser)
     return parser
 
 
 def _draw_curves(path: Path, findings: Findings) -> None:
-    from carrl.render.learning_curve import RunCurve, draw_learning_curves  # brings Matplotlib
+    from carrl.render.curves import RunCurve, draw_learning_curves  # brings Matplotlib
 
     first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]
     curves = {
-        run.label: RunCurve(run.episode_returns, lap["episode"] if lap else None)
+        run.label: RunCurve(run.ends.returns, lap["episode"] if lap else None)
         for run, lap in zip(findings.runs, first_laps, strict=True)
     }
     draw_learning_curves(path, curves)

@@ -106,17 +106,23 @@ def _list(arguments: argparse.Namespace) -> int:
         _print_json([_as_json(report) for report in reports])
     else:
         header = ("track", "length", "width", "least radius", "gates")
+        from carrl.cli.text.terminal_table import print_table
+
         title = ", ".join(map(str, named if arguments.folders else ["built-in tracks", *named]))
-        _print_table(title, header, [_row(report) for report in reports])
-    if refused:
-        _print_table(f"{len(refused)} files that are no tracks", ("file", "why"), refused, file=sys.stderr)
+        print_table(title, header, [_row(report) for report in reports])
+    if arguments.json:
+        for _, reason in refused:
+            print(f"carrl: {printable(reason)}", file=sys.stderr)
+    elif refused:
+        from carrl.cli.text.terminal_table import print_table
+
+        print_table(f"{len(refused)} files that are no tracks", ("file", "why"), refused, figures=(), to_stderr=True)
     return 2 if refused else 0
 
 
 def _show(arguments: argparse.Namespace) -> int:
+    from carrl.render import picture_format
     from carrl.render.corridor import draw_corridor
-    from carrl.render.figure import save_figure
-    from carrl.render.picture_file import picture_format
     from carrl.render.track_map import draw_track_map
     from carrl.tracks.rings import CorridorError
 
@@ -126,11 +132,10 @@ def _show(arguments: argparse.Namespace) -> int:
         track = load_as_said(arguments)
     except CorridorError as error:
         path = path if arguments.out else path.with_name(f"{path.stem}-found.png")
-        save_figure(draw_corridor(error), path)
+        draw_corridor(path, error)
         print(printable(str(path)))
         raise
-    track_map = draw_track_map(track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
-    save_figure(track_map.figure, path)
+    draw_track_map(path, track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
     print(printable(str(path)))
     return 0
 
@@ -288,20 +293,10 @@ def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str], no
         *(("read", note) for note in notes),
         ("faults", f"{len(report.faults)}" if report.faults else "none"),
     ]
-    _print_table(report.name, ("", ""), rows)
+    from carrl.cli.text.terminal_table import print_table
+
+    print_table(report.name, ("", ""), rows, figures=())
     for fault in report.faults:
         print(f"fault: {fault}")
     for warning in warnings:
         print(f"warning: for the default car, {warning}")
-
-
-def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], file: Any = None) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=printable(title), title_justify="left", show_header=any(header))
-    for name in header:
-        table.add_column(name, overflow="fold")
-    for row in rows:
-        table.add_row(*map(printable, row))
-    Console(markup=False, highlight=False, emoji=False, file=file).print(table)

@@ -5,8 +5,8 @@ What trains is imported once the configuration is composed, so that a misspelt k
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import hydra
@@ -16,22 +16,24 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from carrl.cli.known_keys import explain
-from carrl.cli.overrides import Arguments, check_is_read, named_overrides, readable_overrides, sort_arguments, unquote
-from carrl.cli.plain import plain
-from carrl.cli.records import HYDRA, OVERRIDES, write_records
-from carrl.cli.sweep import FLAGS, sweep
-from carrl.cli.sweep_hooks import Refusal
+from carrl.cli.sweep import FLAGS, Refusal, config_folders, hydra_records, sweep
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
 from carrl.printable import printable
-from carrl.train.files import CONFIG, load_config
-from carrl.train.lock import LOCK, locked
-from carrl.train.new_folder import check_holds_no_run
+from carrl.train.composition import explain, plain
+from carrl.train.files import load_config
+from carrl.train.new_folder import locked
+from carrl.train.overrides import (
+    TRUST,
+    Arguments,
+    check_is_read,
+    named_overrides,
+    readable_overrides,
+    sort_arguments,
+    unquote,
+)
 
 RESUME = "resume="
-_BEFORE_TRAINING = {".hydra", str(CONFIG), str(HYDRA), str(OVERRIDES), LOCK}
-"""What is written before everything is checked."""
 
 
 def main(argv: list[str]) -> int:
@@ -40,6 +42,8 @@ def main(argv: list[str]) -> int:
     run = _resumed_run(typed.overrides)
     if run is not None:
         return _resume(run, typed)
+    if any(flag.startswith(f"{TRUST}=") for flag in typed.flags):
+        raise ConfigError(f"{TRUST} has no effect without {RESUME}RUN: what is typed is trusted; leave it out")
     is_sweep = any(flag in FLAGS for flag in (*typed.flags, *typed.overrides))
     overrides = readable_overrides(typed.overrides, is_sweep)
     arguments = [*typed.flags, *overrides]
@@ -50,15 +54,13 @@ def main(argv: list[str]) -> int:
     def job(config: DictConfig) -> None:
         path = Path(HydraConfig.get().runtime.output_dir)
         try:
-            values = plain(config)
+            values = plain(config, config_folders())
             check_is_read(overrides, values)
-            from carrl.cli.training import train
+            from carrl.cli.text.console import follow_run, print_results
+            from carrl.train.experiment import Experiment
 
-            with locked(path):
-                check_holds_no_run(path)
-                with _leaving_nothing_if_refused(path):
-                    write_records(path)
-                    train(values, path)
+            summaries = Experiment(values, path, hydra_records()).run(follow_run())
+            print_results(values, summaries, path)
         except CarrlError as error:  # kept from Hydra, which would print it in its own way
             failures.append(error)
             with suppress(OSError):  # it is not empty, but for a run that was refused
@@ -110,29 +112,21 @@ def _run_hydra(arguments: Sequence[str], job: Callable[[DictConfig], None]) -> N
 
 
 def _resume(run: Path, typed: Arguments) -> int:
-    if typed.flags:
-        raise ConfigError(f"{typed.flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
-    from carrl.cli.training import train
+    flags = [flag for flag in typed.flags if not flag.startswith(f"{TRUST}=")]
+    if flags:
+        raise ConfigError(f"{flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
+    trust = [flag.partition("=")[2] for flag in typed.flags]
+    changes = [override for override in typed.overrides if not _is_resume(override)]
+    load_config(run, trust)  # so that nothing is written to a folder that is no run's
+    from carrl.cli.text.console import follow_run, print_results
+    from carrl.train.experiment import Experiment
     from carrl.train.resumption import resume
 
-    changes = [override for override in typed.overrides if not _is_resume(override)]
-    load_config(run)  # so that nothing is written to a folder that is no run's
     with locked(run):
-        resumption = resume(run, named_overrides(changes))
+        resumption = resume(run, named_overrides(changes), trust)
         for remark in resumption.remarks:
             print(printable(remark))
-        train(resumption.config, run, resumption.state)
+        experiment = Experiment(resumption.config, run)
+        summaries = experiment.go_on(resumption.state, follow_run())
+    print_results(resumption.config, summaries, run)
     return 0
-
-
-@contextmanager
-def _leaving_nothing_if_refused(path: Path) -> Iterator[None]:
-    """Removes the records of a run that was refused before it began."""
-    try:
-        yield
-    except CarrlError:
-        found = {each.relative_to(path).as_posix() for each in path.rglob("*")}
-        if found <= _BEFORE_TRAINING:
-            for name in sorted(found - {LOCK}, reverse=True):
-                (path / name).rmdir() if (path / name).is_dir() else (path / name).unlink()
-        raise

@@ -13,18 +13,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from carrl.cli.overrides import is_search, readable_overrides
 from carrl.cli.parser import Parser, named_folder
-from carrl.cli.plain import composed
 from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
-from carrl.cli.text.console import Silence
-from carrl.cli.text.tuning import TrialRow, TuningConsole
-from carrl.cli.training import train
+from carrl.cli.text.console import RoadWarning, StopOnSignals
+from carrl.cli.text.many_runs import TrialRow, TuningConsole
 from carrl.errors import CarrlError, ConfigError
-from carrl.train.lock import locked
-from carrl.train.new_folder import check_holds_no_run, make_new
-from carrl.train.objective import OBJECTIVES, Objective
-from carrl.train.trainer import Trainer
+from carrl.train.composition import composed
+from carrl.train.experiment import Experiment, Observer
+from carrl.train.new_folder import check_holds_no_run, locked, make_new
+from carrl.train.overrides import is_search, readable_overrides
+from carrl.train.replicate_run import OBJECTIVES, Objective
 
 STUDY = "study.db"
 WARM_UP_TRIALS, WARM_UP_EVALUATIONS = 4, 2
@@ -103,33 +101,32 @@ class Tuning:
 
         trial = study.ask()
         drawn = [f"{key}={values.suggest(trial, key)}" for key, values in self.space.items()]
-        judge = None
         try:
             config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
-            judge = _Judge(trial, self.objective, config)
-            folder = self.folder / f"trial={trial.number}"
-            with locked(folder):
-                check_holds_no_run(folder)
-                train(config, folder, None, judge)
-        except KeyboardInterrupt:  # how a run ends that was told to stop
-            if judge is None or judge.verdict is None:
-                study.tell(trial, state=TrialState.FAIL)
-                raise
+            pruning = PruningObserver(trial, self.objective, config)
+            summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
+                [RoadWarning(), StopOnSignals(), pruning]
+            )
+            if pruning.verdict is None and not all(summary["finished"] for summary in summaries):
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            study.tell(trial, state=TrialState.FAIL)
+            raise
         except CarrlError as error:
             trial.set_user_attr(_ERROR, str(error))
             study.tell(trial, state=TrialState.FAIL)
             if isinstance(error, ConfigError):
                 raise
             return
-        if judge is not None and judge.verdict == "hopeless":
+        if pruning.verdict == "pruned":
             study.tell(trial, state=TrialState.PRUNED)
-        elif judge is not None:
-            study.tell(trial, judge.value)
+        else:
+            study.tell(trial, pruning.value)
 
 
-class _Judge(Silence):
-    """Follows a trial's greedy drives, and ends it as soon as it is settled or hopeless."""
+class PruningObserver(Observer):
+    """Follows a trial's greedy drives, and ends it as soon as its value is final, or the study's pruner gives it up."""
 
     def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:
         self._trial, self._objective = trial, objective
@@ -143,7 +140,8 @@ class _Judge(Silence):
         """Of the trial so far."""
         return self._objective.value(self._runs, self._frames)
 
-    def __call__(self, trainer: Trainer) -> None:
+    def on_round(self, trainer: Any) -> None:
+        """Reports the trial's value after every evaluation."""
         self._runs = trainer.runs
         evaluations = trainer.frames // self._interval  # not frames, which differ with env.num_envs
         if evaluations == self._judged:
@@ -153,9 +151,9 @@ class _Judge(Silence):
         if self._objective.is_settled(self._runs):
             for later in range(evaluations + 1, self._frames // self._interval + 1):
                 self._trial.report(self.value, later)  # so that others are still measured by it
-            self.verdict = "settled"
+            self.verdict = "converged"
         elif self._trial.should_prune():
-            self.verdict = "hopeless"
+            self.verdict = "pruned"
         if self.verdict is not None:
             trainer.stop()
 

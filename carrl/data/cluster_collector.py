@@ -6,17 +6,16 @@ Shapes: `W` workers, `N` cars in all, of which each worker drives N / W; `T` ste
 import logging
 import sys
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tensordict import TensorDictBase
 
-from carrl.algorithms.dqn.exploring_policy import ExploringPolicy
-from carrl.data.limits import check_steps
+from carrl.algorithms.algorithm import CollectPolicy
+from carrl.data.collector import WorkerParts, check_steps
 from carrl.data.ray_cluster import check_ray, check_room, ray_cluster
 from carrl.env.track_env import TrackEnv
 from carrl.errors import CarrlError, ConfigError
@@ -25,19 +24,6 @@ if TYPE_CHECKING:
     from torchrl.collectors.distributed import RayCollector
 
 _logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class WorkerParts:
-    """What a worker drives with, made in its own process, on the CPU.
-
-    Attributes:
-        make_env: an environment of so many cars, whose random numbers are drawn from this seed.
-        make_policy: a copy of the policy, with random numbers from this seed.
-    """
-
-    make_env: Callable[[int, int], TrackEnv]
-    make_policy: Callable[[int], ExploringPolicy]
 
 
 class ClusterCollector:
@@ -51,14 +37,17 @@ class ClusterCollector:
         steps_per_batch: T.
         workers: W.
         address: of the cluster; see `ray_cluster`.
-        cars: N.
-        seed: of the workers' random numbers.
-        parts: of a worker.
+        env: with so many cars; the workers have environments of their own.
         policy: which the workers follow.
+        seeds: of the replicates, one.
+        parts: of a worker.
 
     Raises:
-        ConfigError: the cars cannot be divided evenly among the workers, or Ray is not installed.
+        ConfigError: the cars cannot be divided evenly among the workers, there are several replicates, or Ray is not
+            installed.
     """
+
+    may_break_off = True
 
     def __init__(
         self,
@@ -66,30 +55,33 @@ class ClusterCollector:
         workers: int,
         address: str | None,
         *,
-        cars: int,
-        seed: int,
+        env: TrackEnv,
+        policy: CollectPolicy,
+        seeds: Sequence[int],
         parts: WorkerParts,
-        policy: ExploringPolicy,
     ) -> None:
+        if len(seeds) != 1:
+            raise ConfigError("collector=ray trains one agent; leave trainer.seeds out, or set collector=sync")
         check_steps(steps_per_batch)
+        cars = int(env.batch_size[0])
         if workers < 1 or cars % workers:
             raise ConfigError(
                 f"collector.workers is {workers}; it must be at least 1 and divide the {cars} cars of env.num_envs"
             )
         check_ray()
         self._frames_per_batch, self._address = steps_per_batch * cars, address
-        self._workers, self._cars, self._seed = workers, cars, seed
+        self._workers, self._cars, self._seed = workers, cars, seeds[0]
         self._parts, self._policy = parts, policy
         self._beginnings = 0
         self._batches: Generator[TensorDictBase] | None = None
 
-    def state_dict(self) -> dict[str, Any]:
+    def cars(self) -> dict[str, Any]:
         """How often the cars have begun anew. Where they are is known to the workers alone."""
         return {"beginnings": self._beginnings}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_cars(self, cars: dict[str, Any]) -> None:
         """Goes on with random numbers that were not drawn before; the cars begin new episodes."""
-        self._beginnings = int(state["beginnings"])
+        self._beginnings = int(cars["beginnings"])
 
     def __iter__(self) -> Iterator[TensorDictBase]:
         """Joins the cluster with the first batch, and leaves it with `shutdown`."""
@@ -120,7 +112,7 @@ class ClusterCollector:
             batches = iter(collector)
             while True:
                 try:
-                    collector.map_fn("policy.follow", [(self._policy.knowledge,)] * self._workers)
+                    collector.map_fn("policy.load_shared_state", [(self._policy.shared_state(),)] * self._workers)
                     with _without_remarks():
                         batch = next(batches)
                 except RayActorError as error:

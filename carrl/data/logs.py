@@ -77,7 +77,7 @@ class _Memories:
 
 
 def _check_width(log: Log, world: World) -> None:
-    (found,) = log.row_shapes["observation"]
+    found = log.schema.by_name["observation"].width
     if found != world.observation_size:
         parts = world.observation.parts(world.sensor, world.action)
         raise LogError(

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter, TensorSpec
 
 from carrl.data.returns import STEPS
@@ -62,9 +63,10 @@ def make_prioritized_replay_buffer(
     return _make_buffer(capacity, batch_size, device, PrioritizedAgentSampler(generators, capacity, alpha, beta))
 
 
-def keys_of(buffer: TensorDictReplayBuffer) -> list[Any]:
-    """What a buffer that is not empty keeps of a transition."""
-    return [*KEYS, STEPS] if STEPS in buffer.storage._storage else [*KEYS]
+def memory_of(buffer: TensorDictReplayBuffer) -> dict[Any, Tensor]:
+    """What a buffer that is not empty keeps of transitions, [capacity, A, ...] by key: all of it, filled or not."""
+    memory = buffer.storage._storage
+    return {key: memory[key] for key in (*KEYS, *([STEPS] if STEPS in memory else []))}
 
 
 def _check_sizes(capacity: int, batch_size: int) -> None:
@@ -91,17 +93,20 @@ def _make_buffer(
 def contents_of(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
     """The transitions in the ring, [items, A] each, and the place of the next one; not what is not yet filled."""
     items = len(buffer)
-    fields = buffer.storage._storage.select(*keys_of(buffer))[:items].flatten_keys("/").to_dict() if items else {}
+    fields = buffer.storage._storage.select(*memory_of(buffer))[:items].flatten_keys("/").to_dict() if items else {}
     return {"fields": fields, "cursor": buffer.writer._cursor}
 
 
-def put_back(buffer: TensorDictReplayBuffer, contents: dict[str, Any], action_spec: TensorSpec) -> None:
+def restore(buffer: TensorDictReplayBuffer, contents: dict[str, Any], action_spec: TensorSpec) -> None:
     """Fills an empty buffer with the contents of another one of the same capacity.
 
     Raises:
         ValueError: these are no such contents.
     """
     fields, cursor, capacity = contents["fields"], contents["cursor"], buffer.storage.max_size
+    wanted = {"/".join(key) if isinstance(key, tuple) else key for key in KEYS}
+    if fields and fields.keys() - {STEPS} != wanted:
+        raise ValueError("the transitions in the memory lack something, or have more than is kept")
     items = len(fields["action"]) if fields else 0
     if items > capacity or cursor not in (range(capacity) if items == capacity else [items]):
         raise ValueError(f"{items} transitions with the cursor at {cursor} do not fit a ring of {capacity}")

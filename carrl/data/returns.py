@@ -81,6 +81,8 @@ class NStepReturns:
         if pending is None:
             self._pending = None
             return
+        if not isinstance(pending, dict) or "action" not in pending:
+            raise ValueError("the pending steps have no actions")
         extents = pending["action"].shape
         if len(extents) != 3 or extents[0] >= self._steps:
             raise ValueError(

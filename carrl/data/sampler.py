@@ -37,6 +37,9 @@ class AgentSampler(RandomSampler):
         generators: one for each agent.
     """
 
+    is_weighted = False
+    """Whether minibatches have weights, and TD errors are to be noted."""
+
     def __init__(self, generators: Sequence[torch.Generator]) -> None:
         self._generators = list(generators)
         self._agents = torch.arange(len(self._generators))
@@ -83,6 +86,8 @@ class PrioritizedAgentSampler(AgentSampler):
         alpha: exponent of the priorities; with 0 all transitions are alike.
         beta: exponent of the weights.
     """
+
+    is_weighted = True
 
     def __init__(self, generators: Sequence[torch.Generator], capacity: int, alpha: float, beta: float) -> None:
         super().__init__(generators)

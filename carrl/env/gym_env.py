@@ -20,7 +20,8 @@ from carrl.task.task import UNLIMITED, Begun, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.raster import CarLook, FollowPicture, Scene, Window
+    from carrl.render.live import CarLook, CarSnapshot, FollowPicture
+    from carrl.render.window import Window
 
 OPTIONS = tuple(
     name
@@ -131,14 +132,14 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
                 self.render()
         return now.observation.numpy()[0].copy(), reward, collided, False, info
 
-    def scene(self) -> "Scene":
-        """What a picture of this moment shows; its trail is empty unless there is a render mode."""
-        from carrl.render.raster import Scene
+    def snapshot(self) -> "CarSnapshot":
+        """What a picture of now shows; its trail is empty unless there is a render mode."""
+        from carrl.render.live import CarSnapshot
 
         if self._now is None:
             raise gymnasium.error.ResetNeeded("call reset before the first picture")
         state, cars = self._now.state, self._now.state.cars
-        return Scene(
+        return CarSnapshot(
             pose=cars.pose.double().numpy()[0],
             readings=self._readings(self._now),
             next_gate=int(cars.next_gate),
@@ -156,17 +157,17 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         """A picture of this moment as the render mode wants it.
 
         Raises:
-            ConfigError: there is no render mode, no display for a window, or no pygame.
+            ConfigError: there is no render mode, or for a window no display or no pygame.
         """
         if self.render_mode is None:
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         self._picture = self._picture or make_follow_picture(self.task)
-        from carrl.render.raster import Window, pixels
-
-        picture = self._picture.draw(self.scene())
+        picture = self._picture.draw(self.snapshot())
         if self.render_mode == "rgb_array":
-            return pixels(picture)
-        self._window = self._window or Window(picture.get_size(), "CarRL")
+            return picture
+        from carrl.render.window import Window
+
+        self._window = self._window or Window(self._picture.size, "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
         return None
 
@@ -230,18 +231,14 @@ def check_render_mode(render_mode: str | None) -> None:
 
 
 def make_follow_picture(task: Task, size: tuple[int, int] | None = None) -> "FollowPicture":
-    """What draws scenes of a task, of the usual size unless one is asked for.
-
-    Raises:
-        ConfigError: pygame is not installed.
-    """
-    from carrl.render.raster import SIZE, FollowPicture
+    """What draws cars of a task, of the usual size unless one is asked for."""
+    from carrl.render.live import SIZE, FollowPicture
 
     return FollowPicture(task.simulator.tracks, _look(task), size or SIZE)
 
 
 def _look(task: Task) -> "CarLook":
-    from carrl.render.raster import CarLook
+    from carrl.render.live import CarLook
 
     simulator = task.simulator
     return CarLook(

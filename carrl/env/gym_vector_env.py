@@ -24,7 +24,8 @@ from carrl.task.task import Begun, StepResult, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.raster import FleetPicture, Window
+    from carrl.render.live import FleetPicture
+    from carrl.render.window import Window
 
 Bools = NDArray[np.bool_]
 Step = tuple[np.ndarray, np.ndarray, Bools, Bools, dict[str, Any]]
@@ -148,22 +149,22 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """One picture of the cars on the first track.
 
         Raises:
-            ConfigError: there is no render mode, no display for a window, or no pygame.
+            ConfigError: there is no render mode, or for a window no display or no pygame.
         """
         if self.render_mode is None:
             raise ConfigError(f"there is no render_mode; choose one of {', '.join(RENDER_MODES)} to see something")
         if self._now is None:
             raise ResetNeeded("call reset before the first picture")
         self._picture = self._picture or _make_fleet_picture(self.task)
-        from carrl.render.raster import Window, pixels
-
         shown = self._now.state.cars.track.numpy() == 0
         cars = f"{shown.sum():,} of {self.num_envs:,} cars" if not shown.all() else f"{self.num_envs:,} cars"
         title = f"{self.tracks[0].name}: {cars}"
         picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
-            return (pixels(picture),)
-        self._window = self._window or Window(picture.get_size(), "CarRL")
+            return (picture,)
+        from carrl.render.window import Window
+
+        self._window = self._window or Window((picture.shape[1], picture.shape[0]), "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
         return None
 
@@ -271,6 +272,6 @@ def _finals(task: Task, now: Begun, terms: Tensor, ended: Bools) -> dict[str, An
 
 
 def _make_fleet_picture(task: Task) -> "FleetPicture":
-    from carrl.render.raster import FleetPicture
+    from carrl.render.live import FleetPicture
 
     return FleetPicture(task.simulator.track, task.simulator.vehicle.body_radius)

@@ -5,7 +5,7 @@ Shapes: `T` steps, `R` rays.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,8 @@ class Drive:
         switches_per_100m: how often the action changed, per 100 m driven.
         reversals: how often left followed right or right followed left, without a step forward between.
         near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
-        poses: before each step and after the last, [T + 1, 3].
+        poses: before each step and after the last, [T + 1, 3]; empty where the trajectory was not kept, as are the
+            next two.
         ranges: at each pose, [T + 1, R], m.
         actions: [T].
     """
@@ -60,6 +61,11 @@ class Drive:
         arrays = ("poses", "ranges", "actions")
         return {name: value for name, value in vars(self).items() if name not in arrays}
 
+    def with_trajectory(self, kept: bool) -> "Drive":
+        """The same with a trajectory of its own, or without one: no more memory than that is held."""
+        end = None if kept else 0
+        return replace(self, **{name: getattr(self, name)[:end].copy() for name in ("poses", "ranges", "actions")})
+
     def state_dict(self) -> dict[str, Any]:
         """All of it, arrays as tensors."""
         return {
@@ -69,7 +75,13 @@ class Drive:
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any]) -> "Drive":
-        """What `state_dict` told of."""
+        """What `state_dict` told of.
+
+        Raises:
+            ValueError: it is no such state.
+        """
+        if not isinstance(state, dict) or state.keys() != cls.__dataclass_fields__.keys():
+            raise ValueError("a drive lacks some of its measures, or has others")
         values: dict[str, Any] = {
             name: value.numpy() if isinstance(value, Tensor) else value for name, value in state.items()
         }
@@ -100,6 +112,11 @@ class Trial:
     def shown(self) -> int:
         """Which drive to look at: the first one of those with the least progress."""
         return min(range(len(self.drives)), key=lambda index: self.drives[index].progress)
+
+    def with_trajectory(self, kept: bool) -> "Trial":
+        """The same with the trajectory of the drive to look at, or without any."""
+        shown = self.shown if kept else None
+        return Trial(tuple(drive.with_trajectory(index == shown) for index, drive in enumerate(self.drives)))
 
     @property
     def quality(self) -> tuple[float, ...]:

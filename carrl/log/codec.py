@@ -1,34 +1,30 @@
-"""What a log holds to protobuf messages and back; every `ValueError` names what was found and what is right.
+"""What a log holds to protobuf messages and back, and transitions in TorchRL's layout to columns and back.
+
+Every `ValueError` names what was found and what is right. Torch is imported only where it is needed.
 
 Shape letters: `T` transitions in a message.
 """
 
-import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from google.protobuf.message import DecodeError
 
 from carrl.log.messages import Ended, Episode, Metrics
-from carrl.log.schema import (
-    COLUMNS,
-    EPISODES,
-    MESSAGE_NAMES,
-    METRICS,
-    SMALL_MESSAGES,
-    TRANSITIONS,
-    Column,
-    message_class,
-)
+from carrl.log.schema import EPISODES, METRICS, SMALL_MESSAGES, Column, Schema, small_message_class
+
+if TYPE_CHECKING:
+    from tensordict import TensorDict, TensorDictBase
 
 MAX_MESSAGE_BYTES = 8 * 2**20
 """A larger batch is written as several messages, so that a reader needs little memory for one."""
 
 Columns = dict[str, np.ndarray]
-"""The columns of the table by name, each [T] or [T, width]."""
+"""The columns of a schema by name, each [T] or [T, width]."""
 
 _ENDS = typing.get_args(Ended)
 _SMALL_VALUES = {topic: attrgetter(*kind._fields) for topic, kind in SMALL_MESSAGES.items()}
@@ -39,11 +35,13 @@ class Batch:
     """One message of transitions.
 
     Attributes:
+        schema: of its columns.
         run: the run's number, which all of its messages bear.
         offset: how many transitions the file holds before this message.
         columns: T transitions.
     """
 
+    schema: Schema
     run: int
     offset: int
     columns: Columns
@@ -54,35 +52,71 @@ class Batch:
         return len(self.columns["action"])
 
     def encode(self) -> bytes:
-        """Serialises the batch, whose columns have the table's in-memory types or those in the file.
+        """Serialises the batch, whose columns have the schema's in-memory types or those in the file.
 
         Raises:
             ValueError: an integer does not fit its type in the file.
         """
-        payloads = {column.name: _to_wire(column, self.columns[column.name]) for column in COLUMNS}
-        message = message_class(TRANSITIONS)(run=self.run, offset=self.offset, count=self.count, **payloads)
+        payloads = {column.name: _to_wire(column, self.columns[column.name]) for column in self.schema.columns}
+        message = self.schema.message_class(run=self.run, offset=self.offset, count=self.count, **payloads)
         return bytes(message.SerializeToString())
 
     @staticmethod
-    def decode(message: bytes) -> "Batch":
+    def decode(message: bytes, schema: Schema) -> "Batch":
         """Reads one message into columns that still have their types in the file and are read-only.
 
         Nothing is allocated by the message's own `count`; it is only compared with the columns' lengths.
 
         Raises:
-            ValueError: not a message of this schema, or its columns disagree about T or R.
+            ValueError: not a message of this schema, or its columns disagree about T.
         """
-        wire = _parse(TRANSITIONS, message)
-        columns = {column.name: _from_wire(column, getattr(wire, column.name), wire.count) for column in COLUMNS}
+        wire = parse_message(schema.message_class, message)
         if wire.count == 0:
             raise ValueError("a batch of no transitions")
-        check_rays(columns)
-        return Batch(wire.run, wire.offset, columns)
+        columns = {column.name: _from_wire(column, getattr(wire, column.name), wire.count) for column in schema.columns}
+        return Batch(schema, wire.run, wire.offset, columns)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which transitions to read; everything by default.
+
+    Attributes:
+        episodes: numbers of episodes; None for all.
+        envs: indices of cars; None for all.
+        begin_s: simulated time of the first, s.
+        end_s: simulated time before which the last one begins, s.
+    """
+
+    episodes: Collection[int] | None = None
+    envs: Collection[int] | None = None
+    begin_s: float | None = None
+    end_s: float | None = None
+
+    @property
+    def span_ns(self) -> tuple[float, float]:
+        """Begin and end of the time, ns."""
+        begin = -np.inf if self.begin_s is None else self.begin_s * 1e9
+        return begin, np.inf if self.end_s is None else self.end_s * 1e9
+
+    def of(self, columns: Columns) -> Columns:
+        """Those of the columns' transitions that are selected."""
+        begin, end = self.span_ns
+        times = columns["time_ns"]
+        wanted = (times >= begin) & (times < end)
+        if self.episodes is not None:
+            wanted &= np.isin(columns["episode"], list(self.episodes))
+        if self.envs is not None:
+            wanted &= np.isin(columns["car"], list(self.envs))
+        return columns if wanted.all() else {name: values[wanted] for name, values in columns.items()}
+
+
+EVERYTHING = Selection()
 
 
 def encode_small(topic: str, run: int, message: Episode | Metrics) -> bytes:
     """Serialises an ended episode or a message of metrics."""
-    return bytes(message_class(topic)(run=run, **message._asdict()).SerializeToString())
+    return bytes(small_message_class(topic)(run=run, **message._asdict()).SerializeToString())
 
 
 def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
@@ -91,7 +125,7 @@ def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
     Raises:
         ValueError: not a message of this topic's schema.
     """
-    wire = _parse(topic, message)
+    wire = parse_message(small_message_class(topic), message)
     values = _SMALL_VALUES[topic](wire)
     if topic == METRICS:
         return wire.run, Metrics._make(values)
@@ -106,42 +140,69 @@ def episode_span(message: bytes) -> tuple[int, int, int]:
     Raises:
         ValueError: not a message of an episode.
     """
-    wire = _parse(EPISODES, message)
+    wire = parse_message(small_message_class(EPISODES), message)
     return wire.episode, wire.begin_ns, wire.end_ns
+
+
+def parse_message(kind: type[typing.Any], message: bytes) -> typing.Any:
+    """The message of this class.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        return kind.FromString(message)
+    except DecodeError as error:
+        raise ValueError(f"not a {kind.DESCRIPTOR.full_name} message") from error
 
 
 def pieces(columns: Mapping[str, np.ndarray]) -> list[Columns]:
     """Cuts a batch into messages of at most `MAX_MESSAGE_BYTES`; an empty batch into none."""
-    count = len(columns[COLUMNS[0].name])
-    row_bytes = sum(values.dtype.itemsize * math.prod(values.shape[1:]) for values in columns.values())
-    rows = max(1, MAX_MESSAGE_BYTES // row_bytes)
+    count = len(columns["action"])
+    row_bytes = sum(values.dtype.itemsize * values[:1].size for values in columns.values())
+    rows = max(1, MAX_MESSAGE_BYTES // max(1, row_bytes))
     return [{name: values[i : i + rows] for name, values in columns.items()} for i in range(0, count, rows)]
 
 
-def check_rays(columns: Mapping[str, np.ndarray]) -> None:
-    """Raises a ValueError where the observations before and after the action have different widths."""
-    before, after = columns["observation"].shape[1], columns["next_observation"].shape[1]
-    if before != after:
-        raise ValueError(f"column 'next_observation' has width {after}; expected {before}, as column 'observation'")
+def columns_of(transitions: "TensorDictBase", schema: Schema) -> Columns:
+    """The columns of a batch of transitions [T], on the CPU.
+
+    Raises:
+        ValueError: a key is missing, or has another type or shape than in the schema.
+    """
+    if transitions.batch_dims != 1:
+        raise ValueError(f"the batch size is {list(transitions.batch_size)}; flatten it to [T]")
+    return {column.name: _values(transitions, column) for column in schema.columns}
 
 
-def row_shapes(columns: Mapping[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
-    """The shape of one transition's value in each column: () or (width,)."""
-    return {name: values.shape[1:] for name, values in columns.items()}
+def tensordict_of(columns: Mapping[str, np.ndarray], schema: Schema) -> "TensorDict":
+    """The transitions [T] in TorchRL's layout, sharing the columns' memory; also ("next", "done") and the poses."""
+    import torch
+    from tensordict import TensorDict
+
+    transitions = TensorDict({}, batch_size=[len(columns["action"])])
+    for column in schema.columns:
+        transitions.set(column.key, torch.from_numpy(columns[column.name]))
+    transitions["next", "done"] = transitions["next", "terminated"] | transitions["next", "truncated"]
+    for name, key in (("state", "pose"), ("next_state", ("next", "pose"))):
+        if key not in transitions.keys(include_nested=True):
+            transitions.set(key, torch.from_numpy(columns[name])[:, :3])
+    return transitions
 
 
-def check_row_shapes(columns: Mapping[str, np.ndarray], expected: Mapping[str, tuple[int, ...]]) -> None:
-    """Raises a ValueError where a width differs from that of the messages before."""
-    for name, shape in row_shapes(columns).items():
-        if shape != expected[name]:
-            raise ValueError(f"column '{name}' has shape {list(shape)}; the file has {list(expected[name])} so far")
-
-
-def _parse(topic: str, message: bytes) -> typing.Any:
-    try:
-        return message_class(topic).FromString(message)
-    except DecodeError as error:
-        raise ValueError(f"not a {MESSAGE_NAMES[topic]} message") from error
+def _values(transitions: "TensorDictBase", column: Column) -> np.ndarray:
+    tensor = transitions.get(column.key, None)
+    if tensor is None:
+        raise ValueError(f"column '{column.name}': the transitions have no key {column.key!r}; add it")
+    dtype, shape = str(tensor.dtype).removeprefix("torch."), tuple(tensor.shape[1:])
+    if dtype != column.dtype:
+        raise ValueError(f"column '{column.name}' has type {dtype}; expected {column.dtype}")
+    if shape != column.shape:
+        raise ValueError(
+            f"column '{column.name}' has shape {list(shape)} for each transition; expected {list(column.shape)}"
+        )
+    values: np.ndarray = tensor.detach().cpu().numpy()
+    return values
 
 
 def _to_wire(column: Column, values: np.ndarray) -> bytes:
@@ -155,13 +216,9 @@ def _to_wire(column: Column, values: np.ndarray) -> bytes:
 
 
 def _from_wire(column: Column, payload: bytes, count: int) -> np.ndarray:
-    item_bytes = np.dtype(column.wire).itemsize
-    width = column.shape[0] if column.shape else 1
-    if isinstance(width, str):
-        width = len(payload) // (count * item_bytes) if count else 0
-    if len(payload) != count * width * item_bytes:
+    if len(payload) != count * column.width * np.dtype(column.wire).itemsize:
         raise ValueError(f"column '{column.name}' has {len(payload)} bytes, which do not fit {count} transitions")
     values = np.frombuffer(payload, column.wire)
     if column.dtype == "bool" and (values.view(np.uint8) > 1).any():
         raise ValueError(f"column '{column.name}' holds a byte that is neither 0 nor 1")
-    return values.reshape((count, width) if column.shape else (count,))
+    return values.reshape((count, *column.shape))

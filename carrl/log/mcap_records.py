@@ -1,12 +1,17 @@
-"""MCAP records from bytes that nobody vouches for; whatever is wrong with them comes out as one ValueError.
+"""MCAP records from bytes that nobody vouches for, and the index of what is where in a file.
+
+Whatever is wrong with a record comes out as one ValueError.
 
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
+from typing import Protocol
 
 import lz4.frame
 import zstandard
@@ -20,6 +25,7 @@ from mcap.records import (
     ChunkIndex,
     McapRecord,
     Message,
+    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -41,12 +47,23 @@ _KINDS = {
     Opcode.CHANNEL: Channel,
     Opcode.CHUNK: Chunk,
     Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.MESSAGE_INDEX: MessageIndex,
     Opcode.ATTACHMENT: Attachment,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA: Metadata,
     Opcode.METADATA_INDEX: MetadataIndex,
     Opcode.STATISTICS: Statistics,
 }
+
+
+class Content(Protocol):
+    """Bytes to read from: those of a chunk, or of a file."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+
+    def __getitem__(self, part: slice, /) -> bytes:
+        """Some of them."""
 
 
 class UnsupportedError(ValueError):
@@ -71,22 +88,30 @@ def parse(opcode: int, body: bytes) -> McapRecord | None:
     return record
 
 
+def records(content: Content, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Yields the records that lie from one byte to another: opcode, and where the body begins and ends.
+
+    Raises:
+        ValueError: a record does not fit.
+    """
+    while begin < end:
+        if begin + HEAD.size > end:
+            raise ValueError(f"{end - begin} bytes after the last record")
+        opcode, length = HEAD.unpack(content[begin : begin + HEAD.size])
+        begin += HEAD.size
+        if length > end - begin:
+            raise ValueError(f"a record of {length} bytes does not fit")
+        yield opcode, begin, begin + length
+        begin += length
+
+
 def records_in(content: bytes) -> Iterator[tuple[int, bytes]]:
     """Yields (opcode, body) of each record in a chunk or a summary.
 
     Raises:
         ValueError: a record does not fit.
     """
-    position = 0
-    while position < len(content):
-        if position + HEAD.size > len(content):
-            raise ValueError(f"{len(content) - position} bytes after the last record")
-        opcode, length = HEAD.unpack_from(content, position)
-        position += HEAD.size
-        if length > len(content) - position:
-            raise ValueError(f"a record of {length} bytes does not fit")
-        yield opcode, content[position : position + length]
-        position += length
+    return ((opcode, content[begin:end]) for opcode, begin, end in records(content, 0, len(content)))
 
 
 def unpack(chunk: Chunk) -> bytes:
@@ -185,3 +210,73 @@ _DECOMPRESSORS: dict[str, Callable[[Chunk], bytes]] = {
     "zstd": _unpack_zstd,
     "lz4": _unpack_lz4,
 }
+
+
+@dataclass
+class McapIndex:
+    """What is where in a file.
+
+    Attributes:
+        schemas: by number.
+        channels: by number.
+        chunks: in the order of the file; also the stretches of messages that lie in no chunk, as if each were one.
+            One that does not say which channels it holds may hold any.
+        attachments: in the order of the file.
+        metadata: in the order of the file.
+        messages: how many there are, by channel.
+        stretches: where the stretches without a chunk begin.
+        data_checked: whether the whole data section was compared with a checksum.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    messages: Counter[int] = field(default_factory=Counter)
+    stretches: set[int] = field(default_factory=set)
+    data_checked: bool = False
+
+    def add(self, record: McapRecord | None, offset: int, length: int) -> None:
+        """Notes a record that is neither chunk nor message, of so many bytes from the offset on."""
+        match record:
+            case Schema():
+                self.schemas[record.id] = record
+            case Channel():
+                self.channels[record.id] = record
+            case Metadata():
+                self.metadata.append(MetadataIndex(offset=offset, length=length, name=record.name))
+            case Attachment():
+                self.attachments.append(
+                    AttachmentIndex(
+                        offset=offset,
+                        length=length,
+                        create_time=record.create_time,
+                        log_time=record.log_time,
+                        data_size=len(record.data),
+                        name=record.name,
+                        media_type=record.media_type,
+                    )
+                )
+
+    def add_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
+        """Notes a chunk, of so many bytes from the offset on; `add_messages` says what is in it."""
+        self.chunks.append(
+            ChunkIndex(
+                chunk_start_offset=offset,
+                chunk_length=length,
+                message_index_offsets={},
+                message_index_length=0,
+                message_start_time=chunk.message_start_time,
+                message_end_time=chunk.message_end_time,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def add_messages(self, channel: int, count: int, index_offset: int = 0, index_length: int = 0) -> None:
+        """Notes messages of the last chunk, and where their own index is, if they have one."""
+        self.messages[channel] += count
+        self.chunks[-1].message_index_offsets[channel] = index_offset
+        self.chunks[-1].message_index_length += index_length

@@ -7,6 +7,7 @@ Shape letters: `T` transitions.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -17,12 +18,13 @@ import numpy as np
 from mcap.records import ChunkIndex, Message
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.log.codec import Batch, Columns, check_row_shapes, decode_small, episode_span, row_shapes
-from carrl.log.mcap_index import IndexedFile, damaged
+from carrl.log import version2
+from carrl.log.codec import EVERYTHING, Batch, Columns, Selection, decode_small, episode_span
+from carrl.log.log_file import ATTACHMENT, content_checksum, is_intact
+from carrl.log.mcap_read import IndexedFile, damaged
 from carrl.log.messages import Episode, Metrics
-from carrl.log.metadata import ATTACHMENT, content_checksum, is_intact
 from carrl.log.schema import (
-    COLUMNS,
+    COLUMNS_ENTRY,
     EPISODES,
     FORMAT_VERSION,
     MESSAGE_NAMES,
@@ -30,9 +32,8 @@ from carrl.log.schema import (
     METRICS,
     RECOVERY_NAME,
     TRANSITIONS,
-    empty_columns,
+    Schema,
 )
-from carrl.log.selection import EVERYTHING, Selection
 
 _BATCHES_IN_A_BLOCK = 1024  # joined early: as arrays of their own, batches of one transition take 30 times its memory
 
@@ -43,6 +44,10 @@ class Log:
     Attributes:
         path: the file.
         metadata: the entries of the record "carrl".
+        scene_entries: what they say of the world, as `Scene.from_entries` reads it.
+        version: of the format.
+        file_schema: the columns of the file.
+        schema: the columns that the methods yield: the same, but for those of an older version.
 
     Raises:
         LogError: the file cannot be read, or has no attachment of the name asked for.
@@ -55,7 +60,13 @@ class Log:
         self._file = IndexedFile(self.path)
         try:
             self.metadata: Mapping[str, str] = self._read_metadata()
+            self.version = int(self.metadata["format_version"])
             self._topics = self._read_topics()
+            self.file_schema = self.schema = self._read_schema()
+            self.scene_entries = self.metadata
+            if self.version == version2.VERSION:
+                older = version2.Version2(self.file_schema, self.metadata)
+                self.schema, self.scene_entries = older.schema, older.scene_entries
         except BaseException:
             self._file.__exit__(None, None, None)
             raise
@@ -108,11 +119,6 @@ class Log:
         ends = self._end_batches
         return ends[-1].offset + ends[-1].count if ends else 0
 
-    @property
-    def row_shapes(self) -> Mapping[str, tuple[int, ...]]:
-        """Shape of one transition's value in each column: () or (width,)."""
-        return row_shapes(next((batch.columns for batch in self._end_batches), empty_columns()))
-
     def attachment(self, name: str) -> bytes:
         """The content of an attachment, such as `config.yaml` or `track.json`."""
         for entry in self._file.index.attachments:
@@ -123,25 +129,13 @@ class Log:
                 return content
         raise LogError(f"log '{self.path}': has no attachment '{name}'; it has: {quoted_names(self.attachments)}")
 
-    @property
-    def places(self) -> Mapping[str, list[int]]:
-        """Where the chunks, attachments and metadata records begin, bytes from the file's begin."""
-        index = self._file.index
-        return {
-            "chunk": [
-                chunk.chunk_start_offset for chunk in index.chunks if chunk.chunk_start_offset not in index.stretches
-            ],
-            "attachment": [entry.offset for entry in index.attachments],
-            "metadata": [entry.offset for entry in index.metadata],
-        }
-
     def batches(self, selection: Selection = EVERYTHING) -> Iterator[Columns]:
         """Yields the selected transitions in the order of writing, some thousands at a time.
 
-        Each column is [T] or [T, width], writable, with the type of the table of columns.
+        Each column is [T] or [T, width], writable, with the type of the schema.
         """
         for columns in self._batches(selection):
-            yield _join([columns])
+            yield self._join([columns])
 
     def coded_batches(self, selection: Selection = EVERYTHING) -> Iterator[Batch]:
         """Yields, as they were written, the messages of transitions among which the selected ones are."""
@@ -153,9 +147,9 @@ class Log:
         for columns in self._batches(selection):
             batches.append(columns)
             if len(batches) == _BATCHES_IN_A_BLOCK:
-                blocks.append(_join(batches))
+                blocks.append(self._join(batches))
                 batches = []
-        return _join([*blocks, *batches])
+        return self._join([*blocks, *batches])
 
     def episodes(self) -> Iterator[Episode]:
         """Yields the ended episodes in the order in which they ended."""
@@ -171,25 +165,18 @@ class Log:
 
     def _batches(self, selection: Selection) -> Iterator[Columns]:
         """As `batches`, but read-only and with the types in the file."""
-        expected: Mapping[str, tuple[int, ...]] | None = None
+        older = version2.Version2(self.file_schema, self.metadata) if self.version == version2.VERSION else None
         for batch in self.coded_batches(selection):
-            expected = expected or row_shapes(batch.columns)
-            try:
-                check_row_shapes(batch.columns, expected)
-            except ValueError as error:
-                raise self._wrong(f"a message is wrong: {error}") from error
-            selected = selection.of(batch.columns)
+            selected = selection.of(older.columns(batch.columns) if older else batch.columns)
             if len(selected["action"]):
                 yield dict(selected)
 
     def _small(self, topic: str) -> Iterator[Episode | Metrics]:
         for message in self._raw(topic):
-            try:
+            with self._naming(message, topic):
                 run, small = decode_small(topic, message.data)
                 self._check_run(run)
-                yield small
-            except ValueError as error:
-                raise self._wrong(f"message {message.sequence} of {topic} is wrong: {error}") from error
+            yield small
 
     def _raw(self, topic: str) -> Iterator[Message]:
         for chunk in self._chunks_with(topic):
@@ -198,12 +185,19 @@ class Log:
     def _decoded(self, chunks: Iterable[ChunkIndex]) -> Iterator[Batch]:
         for chunk in chunks:
             for message in self._messages(chunk, TRANSITIONS):
-                try:
-                    batch = Batch.decode(message.data)
+                with self._naming(message):
+                    batch = Batch.decode(message.data, self.file_schema)
                     self._check_run(batch.run)
-                    yield batch
-                except ValueError as error:
-                    raise self._wrong(f"message {message.sequence} is wrong: {error}") from error
+                yield batch
+
+    @contextmanager
+    def _naming(self, message: Message, topic: str = "") -> Iterator[None]:
+        """Says which message it is that is wrong."""
+        try:
+            yield
+        except ValueError as error:
+            of = f" of {topic}" if topic else ""
+            raise self._wrong(f"message {message.sequence}{of} is wrong: {error}") from error
 
     def _check_run(self, run: int) -> None:
         if f"{run:016x}" != self.metadata.get("run"):
@@ -250,10 +244,9 @@ class Log:
     def _episode_spans(self) -> Iterator[tuple[int, int, int]]:
         """Number, begin and end, ns, of each ended episode."""
         for message in self._raw(EPISODES):
-            try:
-                yield episode_span(message.data)
-            except ValueError as error:
-                raise self._wrong(f"message {message.sequence} of {EPISODES} is wrong: {error}") from error
+            with self._naming(message, EPISODES):
+                span = episode_span(message.data)
+            yield span
 
     @cached_property
     def _end_batches(self) -> list[Batch]:
@@ -271,10 +264,10 @@ class Log:
             ]
         )
         version = entries.get("format_version")
-        if version != str(FORMAT_VERSION):
-            raise DamagedLogError(
-                f"log '{self.path}': has format version {version!r:.20}, this carrl reads {FORMAT_VERSION}; "
-                "use the version of carrl that wrote it"
+        if version not in (str(version2.VERSION), str(FORMAT_VERSION)):
+            raise LogError(
+                f"log '{self.path}': has format version {version!r:.20}, this carrl reads {version2.VERSION} and "
+                f"{FORMAT_VERSION}; use the version of carrl that wrote it"
             )
         if not is_intact(entries):
             raise damaged(self.path, "its metadata does not have the checksum that was stored")
@@ -317,6 +310,30 @@ class Log:
             raise damaged(self.path, f"it has no topic {TRANSITIONS}, which every log has")
         return topics
 
+    def _read_schema(self) -> Schema:
+        """The columns of the file: as its channels describe them, or for version 2 as its first message shows them."""
+        if self.version == version2.VERSION:
+            for message in self._raw(TRANSITIONS):
+                with self._naming(message):
+                    return version2.file_schema(message.data)
+            return version2.NO_WIDTHS
+        channels = [channel for channel in self._file.index.channels.values() if channel.topic == TRANSITIONS]
+        descriptions = {channel.metadata.get(COLUMNS_ENTRY, "") for channel in channels}
+        if len(descriptions) > 1:
+            raise self._wrong(f"its {len(channels)} topics {TRANSITIONS} have different columns")
+        try:
+            return Schema.from_json(descriptions.pop())
+        except ValueError as error:
+            raise self._wrong(str(error)) from error
+
+    def _join(self, batches: list[Columns]) -> Columns:
+        """Empties the batches, so that a column's pieces are released as soon as the whole column is there."""
+        if not batches:
+            return self.schema.empty()
+        return {
+            c.name: np.concatenate([batch.pop(c.name) for batch in batches], dtype=c.dtype) for c in self.schema.columns
+        }
+
     def _wrong(self, found: str) -> DamagedLogError:
         return DamagedLogError(f"log '{self.path}': is not a CarRL log: {found}; give the train.mcap of a run")
 
@@ -324,10 +341,3 @@ class Log:
 def quoted_names(names: Iterable[str]) -> str:
     """Quoted and cut, for a file may hold any text as a name."""
     return f"{', '.join(map(repr, names)) or 'none':.200}"
-
-
-def _join(batches: list[Columns]) -> Columns:
-    """Empties the batches, so that a column's pieces are released as soon as the whole column is there."""
-    if not batches:
-        return empty_columns()
-    return {c.name: np.concatenate([batch.pop(c.name) for batch in batches], dtype=c.dtype) for c in COLUMNS}

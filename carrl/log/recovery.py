@@ -16,21 +16,29 @@ from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
-from mcap.records import Attachment, ChunkIndex, Message
+from mcap.records import Attachment, Message
 from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.log.codec import row_shapes
-from carrl.log.log_file import begin_log
-from carrl.log.mcap_file import McapFile
-from carrl.log.mcap_index import IndexedFile, open_log
-from carrl.log.mcap_scan import McapIndex
+from carrl.log import version2
+from carrl.log.log_file import ATTACHMENT, begin_log, chunk_beginning, describe
+from carrl.log.mcap_read import IndexedFile, open_log
+from carrl.log.mcap_records import McapIndex
+from carrl.log.mcap_write import McapFile
 from carrl.log.messages import Episode
-from carrl.log.metadata import ATTACHMENT, describe
 from carrl.log.reader import quoted_names
-from carrl.log.salvage import Content, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
-from carrl.log.salvaged_messages import TOPICS, Decoded, decoded_messages
-from carrl.log.schema import CHANNELS, EPISODES, METADATA_NAME, METRICS, RECOVERY_NAME, TRANSITIONS
+from carrl.log.salvage import Content, Decoded, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
+from carrl.log.schema import (
+    CHANNELS,
+    EPISODES,
+    METADATA_NAME,
+    METRICS,
+    RECOVERY_NAME,
+    TOPICS,
+    TRANSITIONS,
+    Schema,
+    bare_schema,
+)
 
 
 @dataclass(frozen=True)
@@ -176,13 +184,17 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
         assert isinstance(record, Attachment)
         attachments[name] = record.data
     named = {key.removeprefix(ATTACHMENT) for key in entries or {} if key.startswith(ATTACHMENT)}
-    file = begin_log(path, entries or describe(run, 0, {}, attachments), attachments)
+    own = sorted(place for place in pieces.places if place.run == run)
+    schema = _schema_of(content, pieces, own, entries)
+    file = begin_log(path, entries or describe(run, 0, {}, attachments, schema.version), attachments, schema)
     told = {chunk.chunk_start_offset: chunk for chunk in index.chunks} if index else {}
     try:
-        copy = _Copy(file, run)
-        for place in sorted(place for place in pieces.places if place.run == run):
-            found = [decoded for decoded in decoded_messages(unpacked(content, place), pieces.topics) if decoded]
-            copy.add(found, TOPICS[place.channel], is_counted=_is_of(place, told.get(place.position)))
+        copy = _Copy(file, run, schema)
+        for place in own:
+            found = [decoded for decoded in pieces.channels.decoded(unpacked(content, place)) if decoded]
+            entry = told.get(place.position)  # another chunk may have been put in its place
+            is_counted = entry is not None and entry.message_start_time <= place.end_time <= entry.message_end_time
+            copy.add(found, TOPICS[place.channel], is_counted)
         recovery = Recovery(
             finished=index is not None,
             transitions=copy.written[TRANSITIONS],
@@ -193,8 +205,8 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
             metadata_lost=entries is None,
             attachments=tuple(attachments),
             attachments_lost=tuple(sorted(named - attachments.keys())),
-            chunks_lost=_chunks_lost(index, pieces),
-            messages_lost=_messages_lost(_expected(index, run), copy),
+            chunks_lost=len(told.keys() - index.stretches - pieces.chunks) if index else 0,
+            messages_lost=copy.lost_of(_expected(index, run)),
             transitions_left_out=copy.transitions_left_out,
             unchecked=pieces.unchecked,
             runs_left_out=tuple(f"{other:016x}" for other in sorted(pieces.runs - {run})),
@@ -210,9 +222,16 @@ def _rewrite(content: Content, pieces: Pieces, index: McapIndex | None, run: int
     return recovery
 
 
-def _is_of(place: Place, told: ChunkIndex | None) -> bool:
-    """Whether this is the chunk that the index tells of there; another may have been put in its place."""
-    return told is not None and told.message_start_time <= place.end_time <= told.message_end_time
+def _schema_of(content: Content, pieces: Pieces, own: list[Place], entries: Mapping[str, str] | None) -> Schema:
+    """The columns of a run: those of its first transitions, or else what may be known without any."""
+    for place in own:
+        if TOPICS[place.channel] == TRANSITIONS:
+            for decoded in pieces.channels.decoded(unpacked(content, place)):
+                if decoded and decoded.batch and decoded.run == place.run:
+                    return decoded.batch.schema
+    if entries and entries.get("format_version") == str(version2.VERSION):
+        return version2.NO_WIDTHS
+    return next(iter(pieces.channels.schemas), bare_schema())
 
 
 def _expected(index: McapIndex | None, run: int) -> Counter[str]:
@@ -225,10 +244,6 @@ def _expected(index: McapIndex | None, run: int) -> Counter[str]:
     return expected
 
 
-def _messages_lost(expected: Counter[str], copy: "_Copy") -> int:
-    return sum(max(0, count - max(copy.found[topic], copy.counted[topic])) for topic, count in expected.items())
-
-
 def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, written: Counter[str]) -> tuple[str, ...]:
     """The topics that a finished file lacks, and that of transitions where episodes ended and not one is left.
 
@@ -239,13 +254,6 @@ def _topics_lost(index: McapIndex | None, entries: Mapping[str, str] | None, wri
     if is_first and written[EPISODES] and not written[TRANSITIONS]:
         topics.discard(TRANSITIONS)
     return tuple(topic for topic in CHANNELS if topic not in topics)
-
-
-def _chunks_lost(index: McapIndex | None, pieces: Pieces) -> int:
-    if index is None:
-        return 0
-    told = {chunk.chunk_start_offset for chunk in index.chunks} - index.stretches
-    return len(told - pieces.chunks)
 
 
 def _others(content: Content, pieces: Pieces, index: McapIndex | None) -> Iterator[str]:
@@ -277,14 +285,14 @@ class _Copy:
         transitions_left_out: that did not fit those before.
     """
 
-    def __init__(self, file: McapFile, run: int) -> None:
-        self._file, self._run = file, run
+    def __init__(self, file: McapFile, run: int, schema: Schema) -> None:
+        self._file, self._run, self._schema = file, run, schema
+        self._chunk_beginning = chunk_beginning(f"{run:016x}", schema)
         self.found: Counter[str] = Counter()
         self.counted: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
         self.duplicates = self.episode_steps = self.transitions_lost = self.transitions_left_out = 0
         self._next_offset = 0
-        self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._sequences: Counter[str] = Counter()
         self._highest: Counter[str] = Counter()
         self._seen: set[tuple[object, ...]] = set()
@@ -293,6 +301,10 @@ class _Copy:
     def episodes_lost(self) -> int:
         return max(0, self._highest[EPISODES] - self.written[EPISODES])
 
+    def lost_of(self, expected: Counter[str]) -> int:
+        """How many of so many messages of each topic were not found."""
+        return sum(max(0, count - max(self.found[topic], self.counted[topic])) for topic, count in expected.items())
+
     def add(self, found: Iterable[Decoded], topic: str, is_counted: bool) -> None:
         """Appends what is of the topic; its statistics count what is in a chunk that the file's index tells of."""
         own = [decoded for decoded in found if (decoded.run, decoded.topic) == (self._run, topic)]
@@ -300,7 +312,7 @@ class _Copy:
         own.sort(key=lambda decoded: decoded.batch.offset if decoded.batch else 0)  # a chunk may have them in any order
         messages = [message for decoded in own if (message := self._renumbered(decoded))]
         if messages:
-            self._file.add_chunk(messages)
+            self._file.add_chunk(messages, self._chunk_beginning if topic == TRANSITIONS else b"")
 
     def _renumbered(self, decoded: Decoded) -> Message | None:
         """The message as it is to be written; None if it has been already, or does not fit those before."""
@@ -317,8 +329,7 @@ class _Copy:
             self.written[topic] += 1
             self.episode_steps += decoded.small.length if isinstance(decoded.small, Episode) else 0
         else:
-            self._row_shapes = self._row_shapes or row_shapes(batch.columns)
-            if batch.offset < self._next_offset or row_shapes(batch.columns) != self._row_shapes:
+            if batch.offset < self._next_offset or batch.schema != self._schema:
                 self.transitions_left_out += batch.count
                 return None
             self.transitions_lost += batch.offset - self._next_offset

@@ -1,6 +1,8 @@
-"""Finds the pieces of a damaged log that can still be vouched for.
+"""Finds the pieces of a damaged log that can still be vouched for, and the messages in them.
 
 A record is looked for at every byte, for a damaged length leads nowhere; what bears a checksum that fits is intact.
+Messages are told apart by what the channel records say, in the file or in their own chunk, and by what they say
+themselves.
 """
 
 import mmap
@@ -8,29 +10,45 @@ import re
 import struct
 import zlib
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import islice
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, McapRecord, Metadata
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata
 from mcap.writer import MCAP0_MAGIC
 
+from carrl.log import version2
+from carrl.log.codec import Batch, decode_small, encode_small
+from carrl.log.log_file import ATTACHMENT, content_checksum, is_intact
 from carrl.log.mcap_records import (
     HEAD,
     MAX_RECORD_BYTES,
+    McapIndex,
+    message_of,
+    parse,
+    records,
+    records_in,
     unpack,
     unpacked_bytes,
 )
-from carrl.log.mcap_scan import McapIndex
-from carrl.log.metadata import ATTACHMENT, content_checksum, is_intact
-from carrl.log.salvaged_messages import Decoded, Topics, decoded_messages, topics_in
-from carrl.log.schema import CHANNELS, METADATA_NAME
+from carrl.log.messages import Episode, Metrics
+from carrl.log.schema import CHANNELS, COLUMNS_ENTRY, METADATA_NAME, SMALL_MESSAGES, TOPICS, TRANSITIONS, Schema
 
 Content = mmap.mmap
 """A file's bytes, of which those looked at are in memory."""
 
+_MAX_MESSAGES = 2**17
+"""How many messages of a chunk are read; the writer's have some ten thousand."""
+_CHANNEL = re.compile(
+    rb"\x04.{4}\x00{4}.{4}(?:%s)\x08\x00{3}protobuf"
+    % b"|".join(struct.pack("<I", len(topic)) + topic.encode() for topic in CHANNELS),
+    re.DOTALL,
+)
+"""A channel record of one of the topics; MCAP keeps no CRC of it."""
 _RUN = re.compile("[0-9a-f]{16}")
 _CANDIDATE = re.compile(
     rb"[\x06\x09\x0c].{4}\x00{4}(?:"
@@ -56,6 +74,85 @@ _CANDIDATE_COST = 2**14
 _MESSAGE_COST = 2**14
 _PAID_WITH_A_BYTE = 2**11
 """Messages of a log take more than eight bytes each, packed, and so cost nothing."""
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A message that says what its topic's messages say; `batch` if it is one of transitions, else `small`."""
+
+    message: Message
+    topic: str
+    run: int
+    batch: Batch | None = None
+    small: Episode | Metrics | None = None
+
+    @property
+    def number(self) -> int:
+        """How many transitions, or messages of the topic, come before it."""
+        return self.batch.offset if self.batch else self.message.sequence
+
+
+class Channels:
+    """What channel records say of each number: perhaps two things, if a file is damaged or has pieces of two logs.
+
+    Attributes:
+        schemas: of transitions, as described so far.
+    """
+
+    def __init__(self, content: Content, index: McapIndex | None) -> None:
+        """Takes the channels that the index tells of, or else all that are anywhere in the file."""
+        self._topics: dict[int, list[str]] = {}
+        self.schemas: list[Schema] = []
+        for channel in index.channels.values() if index else ():
+            self.note(channel)
+        for match in _CHANNEL.finditer(content) if index is None else ():
+            position = match.start()
+            body = content[position + HEAD.size : position + HEAD.size + _length_at(content, position)]
+            with suppress(ValueError):
+                self.note(parse(Opcode.CHANNEL, body))
+
+    def note(self, channel: McapRecord | None) -> None:
+        """Takes what a channel record says."""
+        assert isinstance(channel, Channel)
+        topics = self._topics.setdefault(channel.id, [])
+        if channel.topic not in topics:
+            topics.append(channel.topic)
+        if channel.topic == TRANSITIONS and COLUMNS_ENTRY in channel.metadata:
+            with suppress(ValueError):
+                schema = Schema.from_json(channel.metadata[COLUMNS_ENTRY])
+                if schema not in self.schemas:
+                    self.schemas.append(schema)
+
+    def decoded(self, messages: bytes) -> Iterator[Decoded | None]:
+        """Yields the messages of an intact chunk, None for those that are not of this format; notes its channels."""
+        with suppress(ValueError):  # whoever wrote records that do not fit their chunk is to blame
+            for opcode, body in islice(records_in(messages), _MAX_MESSAGES):
+                if opcode == Opcode.MESSAGE:
+                    yield self._decode(message_of(body))
+                elif opcode == Opcode.CHANNEL:
+                    self.note(parse(opcode, body))
+
+    def _decode(self, message: Message) -> Decoded | None:
+        known = self._topics.get(message.channel_id)
+        for topic in known or [TOPICS.get(message.channel_id, "")]:
+            if topic == TRANSITIONS and (batch := self._batch(message.data)):
+                return Decoded(message, topic, batch.run, batch=batch)
+            if topic in SMALL_MESSAGES:
+                with suppress(ValueError):
+                    run, small = decode_small(topic, message.data)
+                    # One that may be of another topic must say nothing but what this topic's do.
+                    if known == [topic] or encode_small(topic, run, small) == message.data:
+                        return Decoded(message, topic, run, small=small)
+        return None
+
+    def _batch(self, message: bytes) -> Batch | None:
+        """The transitions of a message, by whichever columns it has; version 2 did not describe its own."""
+        for schema in self.schemas:
+            with suppress(ValueError):
+                return Batch.decode(message, schema)
+        with suppress(ValueError):
+            return Batch.decode(message, version2.file_schema(message))
+        return None
 
 
 @dataclass(frozen=True, order=True)
@@ -86,19 +183,19 @@ class Pieces:
     """What is intact in a damaged file.
 
     Attributes:
+        channels: what is known of them.
         metadata: entries of records, in the order of the file.
         attachments: positions by name and checksum.
         places: of messages, in the order of the file.
         chunks: positions of the intact ones.
-        topics: of the channels.
         unchecked: how many of the messages no checksum vouches for.
     """
 
+    channels: Channels
     metadata: list[dict[str, str]] = field(default_factory=list)
     attachments: dict[tuple[str, str], int] = field(default_factory=dict)
     places: list[Place] = field(default_factory=list)
     chunks: set[int] = field(default_factory=set)
-    topics: Topics = field(default_factory=dict)
     unchecked: int = 0
 
     @property
@@ -142,7 +239,7 @@ def find_pieces(content: Content, index: McapIndex | None) -> Pieces:
         content: of the file.
         index: of what is in it, if that is intact; what it tells of and no checksum contradicts is taken for intact.
     """
-    pieces = Pieces(topics=topics_in(content, index))
+    pieces = Pieces(Channels(content, index))
     position, patience = 0, 8 * len(content) + _PATIENCE_BYTES
     while patience > 0 and (candidate := _CANDIDATE.search(content, position)):
         position = candidate.start()
@@ -160,13 +257,12 @@ def find_pieces(content: Content, index: McapIndex | None) -> Pieces:
 
 def lone_messages(content: Content) -> int:
     """How many messages lie in no chunk before the first byte that is no record's; no checksum vouches for them."""
-    position, count = len(MCAP0_MAGIC), 0
-    while position + HEAD.size <= len(content):
-        opcode, length = HEAD.unpack_from(content, position)
-        position += HEAD.size + length
-        if opcode not in tuple(Opcode) or position > len(content):
-            break
-        count += opcode == Opcode.MESSAGE
+    count = 0
+    with suppress(ValueError):
+        for opcode, _, _ in records(content, len(MCAP0_MAGIC), len(content)):
+            if opcode not in tuple(Opcode):
+                break
+            count += opcode == Opcode.MESSAGE
     return count
 
 
@@ -217,22 +313,19 @@ def _add_unchecked(pieces: Pieces, content: Content, index: McapIndex) -> None:
 
 
 def _add_places(pieces: Pieces, position: int, content: bytes, stretch: int = 0) -> int:
+    """Notes the messages of a chunk by run and topic, and tells how many there are."""
     found: dict[tuple[int, str], tuple[int, int, int]] = {}  # latest time, least number, transitions
-    messages = list(map(_digest, decoded_messages(content, pieces.topics)))
-    for key, end_time, number, transitions in filter(None, messages):
-        latest, least, so_far = found.get(key, (end_time, number, 0))
-        found[key] = (max(latest, end_time), min(least, number), so_far + transitions)
+    count = 0
+    for decoded in pieces.channels.decoded(content):
+        count += 1
+        if decoded is not None:
+            key, time, number = (decoded.run, decoded.topic), decoded.message.log_time, decoded.number
+            latest, least, so_far = found.get(key, (time, number, 0))
+            transitions = decoded.batch.count if decoded.batch else 0
+            found[key] = max(latest, time), min(least, number), so_far + transitions
     for (run, topic), (end_time, number, transitions) in found.items():
         pieces.places.append(Place(end_time, CHANNELS[topic], number, position, run, transitions, stretch))
-    return len(messages)
-
-
-def _digest(decoded: Decoded | None) -> tuple[tuple[int, str], int, int, int] | None:
-    """What a place tells of a message: run and topic, time, number, transitions."""
-    if decoded is None:
-        return None
-    transitions = decoded.batch.count if decoded.batch else 0
-    return (decoded.run, decoded.topic), decoded.message.log_time, decoded.number, transitions
+    return count
 
 
 def _parsed_at(content: Content, position: int) -> tuple[McapRecord | None, int]:

@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,41 +74,52 @@ class TrackShape:
         )
 
 
+class ObservationPart(NamedTuple):
+    """Where a term stands in an observation: its name, how many values, and their bounds."""
+
+    name: str
+    width: int
+    low: float
+    high: float
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What stays the same throughout a log.
 
     Attributes:
-        action_names: what each action is called, A of them: forward, left, right.
+        action_names: what each action is called, A of them: forward, left, right; none where they are numbers.
+        control_names: of the vehicle's controls.
+        observation: what an observation is made of, in its order.
         reward_terms: what each term of the reward is called.
         sensor_angles: directions of the rays from the heading, right to left, [R], rad.
         sensor_range: distance at which a ray reads 1, m.
         time_step: simulated seconds of a step, s.
         body_radius: of the car's disc, m.
-        manoeuvres: how a step of each action moves the car: distance m, its bearing from the heading rad, and the
-            change of heading rad, [A, 3].
         tracks: those that the column `track` counts.
     """
 
     action_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+    observation: tuple[ObservationPart, ...]
     reward_terms: tuple[str, ...]
     sensor_angles: Floats
     sensor_range: float
     time_step: float
     body_radius: float
-    manoeuvres: Floats
     tracks: tuple[TrackShape, ...]
 
     def entries(self) -> dict[str, str]:
         """The scene without its tracks, as entries of a log's metadata; values that are no text are JSON."""
         return {
             "action_names": json.dumps(self.action_names),
+            "control_names": json.dumps(self.control_names),
+            "observation": json.dumps(self.observation),
             "reward_terms": json.dumps(self.reward_terms),
             "sensor_angles_rad": json.dumps(self.sensor_angles.tolist()),
             "sensor_range_m": json.dumps(self.sensor_range),
             "time_step_s": json.dumps(self.time_step),
             "body_radius_m": json.dumps(self.body_radius),
-            "manoeuvres": json.dumps(self.manoeuvres.tolist()),
         }
 
     @staticmethod
@@ -118,17 +129,51 @@ class Scene:
         Raises:
             ValueError: an entry is missing or is not what it should be.
         """
-        action_names = tuple(str(name) for name in _parsed(entries, "action_names", list))
+        action_names, reward_terms, control_names = (
+            tuple(str(name) for name in _parsed(entries, key, list))
+            for key in ("action_names", "reward_terms", "control_names")
+        )
         return Scene(
             action_names=action_names,
-            reward_terms=tuple(str(name) for name in _parsed(entries, "reward_terms", list)),
-            sensor_angles=_numbers(entries, "sensor_angles_rad", (None,)),
+            control_names=control_names,
+            observation=_parts(entries),
+            reward_terms=reward_terms,
+            sensor_angles=_numbers(entries, "sensor_angles_rad"),
             sensor_range=_positive(entries, "sensor_range_m"),
             time_step=_positive(entries, "time_step_s"),
             body_radius=_positive(entries, "body_radius_m"),
-            manoeuvres=_numbers(entries, "manoeuvres", (len(action_names), 3)),
             tracks=tuple(tracks),
         )
+
+    @property
+    def rays(self) -> slice:
+        """Where the rays' readings stand in an observation.
+
+        Raises:
+            ValueError: there are none, or not one for each ray.
+        """
+        begin = 0
+        for part in self.observation:
+            if part.name == "rays" and part.width == len(self.sensor_angles) > 0:
+                return slice(begin, begin + part.width)
+            begin += part.width
+        parts = ", ".join(f"{part.width} of {part.name}" for part in self.observation)
+        raise ValueError(
+            f"it has no reading for each of {len(self.sensor_angles)} rays among {parts or 'nothing':.100}"
+        )
+
+
+def _parts(entries: Mapping[str, str]) -> tuple[ObservationPart, ...]:
+    try:
+        parts = [
+            (str(name), int(width), float(low), float(high))
+            for name, width, low, high in _parsed(entries, "observation", list)
+        ]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError("its metadata entry 'observation' does not describe one") from error
+    if any(width < 0 for _, width, _, _ in parts):
+        raise ValueError("its metadata entry 'observation' has a negative width")
+    return tuple(ObservationPart(*part) for part in parts)
 
 
 def _parsed(entries: Mapping[str, str], key: str, kind: type | tuple[type, ...]) -> Any:
@@ -153,14 +198,13 @@ def _positive(entries: Mapping[str, str], key: str) -> float:
     return found
 
 
-def _numbers(entries: Mapping[str, str], key: str, shape: tuple[int | None, ...]) -> Floats:
-    """An array of this shape, in which None stands for any extent."""
+def _numbers(entries: Mapping[str, str], key: str) -> Floats:
+    """A row of numbers."""
     found = _parsed(entries, key, list)
     try:
         array = np.array(found, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"its metadata entry '{key}' is no list of numbers") from error
-    wanted = tuple(size if want is None else want for want, size in zip(shape, array.shape, strict=False))
-    if array.ndim != len(shape) or wanted != array.shape or not np.isfinite(array).all():
+    if array.ndim != 1 or not np.isfinite(array).all():
         raise ValueError(f"its metadata entry '{key}' has the shape {list(array.shape)}, or a value that is no number")
     return array

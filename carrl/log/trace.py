@@ -5,7 +5,7 @@ Shapes: `T` steps, `R` rays, `A` actions, `K` terms of the reward.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import DamagedLogError, LogError
-from carrl.log.metadata import ATTACHMENT
+from carrl.log.codec import Columns, Selection
+from carrl.log.log_file import ATTACHMENT
 from carrl.log.reader import Log
 from carrl.log.scene import Floats, Scene, TrackShape
-from carrl.log.selection import Selection
 
 _GREATEST = 1e30
 """Of a reading, which should be 1 at most: single precision must hold where its ray ends."""
+POSE = ("x", "y", "heading")
+"""What every state begins with: m, m, rad."""
 _TRACK_NAME = re.compile(r"track(?:-(\d{1,6}))?\.json")
 
 
@@ -30,10 +32,12 @@ class EpisodeTrace:
     Attributes:
         scene: sensors, car and tracks.
         columns: of the log, by name, each [T, ...], in the order of the steps.
+        entries: what the values of a column's row are called, by the name of the column, if they have names.
     """
 
     scene: Scene
-    columns: Mapping[str, NDArray[np.generic]]
+    columns: Columns
+    entries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Steps, T."""
@@ -45,9 +49,9 @@ class EpisodeTrace:
         return int(self.columns["episode"][0])
 
     @property
-    def env(self) -> int:
+    def car(self) -> int:
         """Index of the car among those simulated side by side."""
-        return int(self.columns["env"][0])
+        return int(self.columns["car"][0])
 
     @property
     def track(self) -> TrackShape:
@@ -69,7 +73,7 @@ class EpisodeTrace:
     @property
     def actions(self) -> NDArray[np.int64]:
         """Of each step, indices into `scene.action_names`, [T]."""
-        return np.asarray(self.columns["action"], dtype=np.int64)
+        return action_choices(self.columns)
 
     @property
     def rewards(self) -> Floats:
@@ -82,19 +86,9 @@ class EpisodeTrace:
         return np.asarray(self.columns["reward_terms"], dtype=np.float64)
 
     @property
-    def action_values(self) -> Floats:
-        """Q-values from which each step's action was chosen, [T, A]."""
-        return np.asarray(self.columns["action_value"], dtype=np.float64)
-
-    @property
     def exploratory(self) -> NDArray[np.bool_]:
         """Whether each step's action was drawn at random, [T]."""
-        return np.asarray(self.columns["exploratory"], dtype=np.bool_)
-
-    @property
-    def epsilon(self) -> Floats:
-        """Probability of a random action at each step, [T]."""
-        return np.asarray(self.columns["epsilon"], dtype=np.float64)
+        return np.asarray(self.columns.get("exploratory", np.zeros(len(self))), dtype=np.bool_)
 
     @cached_property
     def times(self) -> Floats:
@@ -103,32 +97,37 @@ class EpisodeTrace:
         return np.append(begin, begin[-1] + self.scene.time_step)
 
     @cached_property
-    def poses(self) -> Floats:
-        """Where the car was, x m, y m, heading rad, before each step and after the last, [T + 1, 3].
+    def states(self) -> Floats:
+        """The whole state of the vehicle before each step and after the last, [T + 1, S]."""
+        return np.vstack([self.columns["state"], self.columns["next_state"][-1:]]).astype(np.float64)
 
-        The log has the poses before the steps; the last one follows from the last action.
-        """
-        recorded = np.asarray(self.columns["pose"], dtype=np.float64)
-        x, y, heading = recorded[-1]
-        distance, bearing, yaw = self.scene.manoeuvres[self.actions[-1]]
-        direction = heading + bearing
-        last = [x + distance * np.cos(direction), y + distance * np.sin(direction), heading + yaw]
-        return np.vstack([recorded, last])
+    @property
+    def poses(self) -> Floats:
+        """Where the car was, x m, y m, heading rad, before each step and after the last, [T + 1, 3]."""
+        return self.states[:, :3]
 
     @cached_property
     def ranges(self) -> Floats:
         """What each ray read before each step and after the last, [T + 1, R], m."""
-        rays = len(self.scene.sensor_angles)
-        seen = [self.columns["observation"][:, :rays], self.columns["next_observation"][-1:, :rays]]
-        readings = np.vstack(seen).astype(np.float64)
+        seen = [self.columns["observation"], self.columns["next_observation"][-1:]]
+        readings = np.vstack(seen)[:, self.scene.rays].astype(np.float64)
         return np.where(np.isfinite(readings), readings.clip(-_GREATEST, _GREATEST), readings) * self.scene.sensor_range
 
     @cached_property
     def gates_passed(self) -> NDArray[np.int64]:
-        """How many gates were passed up to before each step and after the last, [T + 1], as the gate rewards tell."""
-        if "gate" not in self.scene.reward_terms:
-            return np.zeros(len(self) + 1, dtype=np.int64)
-        return np.append(0, (self.reward_terms[:, self.scene.reward_terms.index("gate")] > 0).cumsum())
+        """How many gates of the episode were passed before each step and after the last, [T + 1]."""
+        return np.append(self.columns["gates_passed"], self.columns["next_gates_passed"][-1]).astype(np.int64)
+
+    @cached_property
+    def passings(self) -> list[tuple[int, int]]:
+        """Every passing of a gate: the row of the step, and the gate, index into those of the track; -1 if unknown."""
+        first, gates = self.columns["next_gate"], len(self.track.gates)
+        counts = self.columns["next_gates_passed"] - self.columns["gates_passed"]
+        return [
+            (row, int(first[row] + nth) % gates if first[row] >= 0 else -1)
+            for row in np.flatnonzero(counts > 0).tolist()
+            for nth in range(counts[row])
+        ]
 
     def ray_ends(self) -> Floats:
         """Where the rays end, before each step and after the last, [T + 1, R, 2], m."""
@@ -147,9 +146,20 @@ def read_scene(log: Log) -> Scene:
     numbers = {name: int(match[1] or 0) for name in own if (match := _TRACK_NAME.fullmatch(name))}
     try:
         tracks = [TrackShape.from_json(log.attachment(name)) for name in sorted(numbers, key=numbers.__getitem__)]
-        return Scene.from_entries(log.metadata, tracks)
+        return Scene.from_entries(log.scene_entries, tracks)
     except ValueError as error:
         raise _undescribed(log, str(error)) from error
+
+
+def with_choices(scene: Scene) -> Scene:
+    """The scene with one name for every action where actions are numbers and none has a name."""
+    return scene if scene.action_names else replace(scene, action_names=("continuous",))
+
+
+def action_choices(columns: Columns) -> NDArray[np.int64]:
+    """Of each step, which of the scene's named actions was chosen, [T]; 0 where actions are numbers."""
+    actions = columns["action"]
+    return np.asarray(actions if actions.dtype.kind == "i" else np.zeros(len(actions)), dtype=np.int64)
 
 
 def read_trace(log: Log, episode: int) -> EpisodeTrace:
@@ -159,31 +169,41 @@ def read_trace(log: Log, episode: int) -> EpisodeTrace:
         LogError: the log holds no transition of it.
         DamagedLogError: it is not an intact log.
     """
-    scene = read_scene(log)
+    scene = with_choices(read_scene(log))
     columns = log.columns(Selection(episodes=[episode]))
     if not len(columns["action"]):
         raise LogError(f"log '{log.path}': holds no step of episode {episode}; carrl log ls FILE shows which it has")
-    _check_widths(log, scene, columns)
-    if (np.diff(columns["step"]) <= 0).any():
-        raise _undescribed(log, f"the steps of episode {episode} are out of order")
-    if columns["action"].min() < 0 or columns["action"].max() >= len(scene.action_names):
-        raise _undescribed(log, f"episode {episode} has an action without a name")
-    if not all(np.isfinite(columns[name]).all() for name in ("pose", "observation", "next_observation")):
-        raise _undescribed(log, f"episode {episode} has a pose or a reading that is no finite number")
-    if not 0 <= columns["track"][0] < len(scene.tracks):
-        raise _undescribed(log, f"the track of episode {episode} is not attached")
-    return EpisodeTrace(scene, columns)
+    try:
+        _check_columns(scene, columns)
+    except ValueError as error:
+        raise _undescribed(log, str(error)) from error
+    return EpisodeTrace(scene, columns, {column.name: column.entries for column in log.schema.columns})
 
 
-def _check_widths(log: Log, scene: Scene, columns: Mapping[str, NDArray[np.generic]]) -> None:
-    """Raises DamagedLogError where the columns have another width than the scene says."""
-    if not 0 < len(scene.sensor_angles) <= columns["observation"].shape[1]:
-        raise _undescribed(
-            log, f"it has {columns['observation'].shape[1]} readings for {len(scene.sensor_angles)} rays"
-        )
+def _check_columns(scene: Scene, columns: Columns) -> None:
+    """Raises ValueError where the columns of an episode are others than the scene says, or make no sense."""
+    episode = int(columns["episode"][0])
+    if (found := columns["observation"].shape[1]) < scene.rays.stop:
+        raise ValueError(f"it has {found} readings for {len(scene.sensor_angles)} rays")
     for column, names in (("action_value", scene.action_names), ("reward_terms", scene.reward_terms)):
-        if columns[column].shape[1] != len(names):
-            raise _undescribed(log, f"column '{column}' is {columns[column].shape[1]} wide for {len(names)} names")
+        if column in columns and columns[column].shape[1] != len(names):
+            raise ValueError(f"column '{column}' is {columns[column].shape[1]} wide for {len(names)} names")
+    if columns["state"].shape[1] < len(POSE):
+        raise ValueError("its states have no x, y and heading")
+    if (np.diff(columns["step"]) <= 0).any():
+        raise ValueError(f"the steps of episode {episode} are out of order")
+    actions = action_choices(columns)
+    if actions.min() < 0 or actions.max() >= len(scene.action_names):
+        raise ValueError(f"episode {episode} has an action without a name")
+    if not all(np.isfinite(columns[name]).all() for name in ("state", "observation", "next_observation")):
+        raise ValueError(f"episode {episode} has a state or a reading that is no finite number")
+    if not np.isfinite(columns["next_state"][-1]).all():
+        raise ValueError(f"it is not known where episode {episode} ended")
+    if not 0 <= columns["track"][0] < len(scene.tracks):
+        raise ValueError(f"the track of episode {episode} is not attached")
+    gates, passed = len(scene.tracks[columns["track"][0]].gates), columns["next_gates_passed"] - columns["gates_passed"]
+    if columns["next_gate"].max() >= gates or passed.min() < 0 or passed.max() > gates:
+        raise ValueError(f"episode {episode} passed gates that its track does not have")
 
 
 def _undescribed(log: Log, found: str) -> DamagedLogError:

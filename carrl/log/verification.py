@@ -1,22 +1,26 @@
 """Reads a log from its first byte to its last and compares every part with every other."""
 
 import json
-import struct
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from carrl.log.codec import row_shapes
-from carrl.log.mcap_index import check_magic, damaged, open_log
+from carrl.log.log_file import ATTACHMENT
+from carrl.log.mcap_read import (
+    FileContent,
+    IndexedFile,
+    check_magic,
+    damaged,
+    naming_damage,
+    open_log,
+    verified_records,
+)
 from carrl.log.mcap_records import parse
-from carrl.log.mcap_scan import verified_records
-from carrl.log.metadata import ATTACHMENT
 from carrl.log.reader import Log, quoted_names
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
-
-_TOLD_OF: dict[int, str] = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment", Opcode.METADATA: "metadata"}
 
 
 @dataclass(frozen=True)
@@ -37,17 +41,16 @@ def verify(path: str | Path) -> IntactLog:
     """
     path = Path(path)
     offsets = _walk(path)
+    with IndexedFile(path) as file:
+        for opcode, expected in file.places.items():
+            if offsets[opcode] != expected:
+                raise damaged(path, f"its index does not tell where its {Opcode(opcode).name.lower()} records are")
     with Log(path) as log:
-        for what, expected in log.places.items():
-            if offsets[what] != expected:
-                raise damaged(path, f"its index does not tell where its {what} records are")
         _check_is_all_there(log)
-        transitions, batches, shapes = 0, 0, log.row_shapes
+        transitions, batches = 0, 0
         for batch in log.coded_batches():
             if batch.offset != transitions:
                 raise damaged(path, f"{transitions} transitions are followed by number {batch.offset}")
-            if row_shapes(batch.columns) != shapes:
-                raise damaged(path, f"transition {transitions} has not as many rays as those before")
             transitions, batches = transitions + batch.count, batches + 1
         lengths = [episode.length for episode in log.episodes()]
         if lengths and not batches and log.metadata["part"] == "0" and not log.recovery:
@@ -81,17 +84,15 @@ def _known_lost(log: Log) -> set[str]:
     return set()
 
 
-def _walk(path: Path) -> dict[str, list[int]]:
-    """Where the records of each kind begin that the index tells of; checks the CRCs of the file's sections."""
+def _walk(path: Path) -> dict[int, list[int]]:
+    """Where the records of each kind begin, by opcode; checks the CRCs of the file's sections."""
     file, size = open_log(path)
     with file:
-        check_magic(path, file, size)
-        offsets: dict[str, list[int]] = {name: [] for name in _TOLD_OF.values()}
-        try:
-            for offset, opcode, body in verified_records(file, size):
+        content = FileContent(file, size)
+        check_magic(path, content)
+        offsets: dict[int, list[int]] = defaultdict(list)
+        with naming_damage(path):
+            for offset, opcode, body in verified_records(content):
                 parse(opcode, body)
-                if opcode in _TOLD_OF:
-                    offsets[_TOLD_OF[opcode]].append(offset)
-        except (ValueError, OSError, struct.error) as error:
-            raise damaged(path, error) from error
+                offsets[opcode].append(offset)
     return offsets

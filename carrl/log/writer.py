@@ -18,13 +18,11 @@ import numpy as np
 from mcap.records import Message
 
 from carrl.errors import LogError
-from carrl.log.codec import Batch, Columns, check_row_shapes, encode_small, pieces, row_shapes
-from carrl.log.layout import columns_of
-from carrl.log.log_file import begin_log, part_path
-from carrl.log.mcap_file import McapFile, Position
+from carrl.log.codec import Batch, Columns, columns_of, encode_small, pieces
+from carrl.log.log_file import begin_log, chunk_beginning, describe, part_path
+from carrl.log.mcap_write import McapFile, Position
 from carrl.log.messages import Episode, Metrics
-from carrl.log.metadata import describe
-from carrl.log.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
+from carrl.log.schema import CHANNELS, EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS, Schema
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -55,6 +53,7 @@ class LogWriter:
         every_nth_episode: log the transitions of the episodes 0, n, 2n and so on only.
         max_file_bytes: size after which the log goes on in another file, `train-1.mcap` after `train.mcap`; None for
             one file of any size.
+        schema: the columns of the transitions.
         attachments: whole files to keep in the log, by name, such as `config.yaml` and `track.json`.
         metadata: what else to say about the run; the keys that the format has itself are taken.
         state: `state_dict` of the writer of a log that was broken off, to go on with it from there. What came after is
@@ -72,6 +71,7 @@ class LogWriter:
         every_nth_episode: int = 1,
         max_file_bytes: int | None = None,
         *,
+        schema: Schema,
         attachments: Mapping[str, bytes],
         metadata: Mapping[str, str],
         state: Mapping[str, Any] | None = None,
@@ -79,6 +79,10 @@ class LogWriter:
     ) -> None:
         """Creates the file with its attachments and metadata, or opens that of the state."""
         self._first_path = Path(path)
+        try:
+            self.schema = schema.checked()
+        except ValueError as error:
+            raise LogError(f"log '{path}': {error}") from error
         _check_range("envs", envs, 1)
         _check_range("every_nth_episode", every_nth_episode, 1)
         _check_range("max_file_bytes", max_file_bytes, MIN_FILE_BYTES)
@@ -86,13 +90,18 @@ class LogWriter:
         self._make_room = make_room
         self._run = secrets.randbits(63)
         self._attachments, self._metadata = dict(attachments), dict(metadata)
-        self._row_shapes: dict[str, tuple[int, ...]] | None = None
         self._last_time = 0
         self._part = 0
         if state is None:
             self._begin_file()
         else:
             self._load_state_dict(state)
+        self._chunk_beginning = chunk_beginning(f"{self._run:016x}", self.schema)
+
+    @property
+    def keys(self) -> list[str | tuple[str, ...]]:
+        """Of the transitions: what `write` needs of them."""
+        return self.schema.keys
 
     @property
     def path(self) -> Path:
@@ -121,25 +130,24 @@ class LogWriter:
             "offset": self._offset,
             "sequences": dict(self._sequences),
             "last_time": self._last_time,
-            "row_shapes": self._row_shapes,
+            "columns": self.schema.as_json(),
         }
 
     def write(self, transitions: "TensorDictBase") -> None:
         """Appends a batch of transitions; an empty one leaves no trace.
 
         Args:
-            transitions: batch size [T], with every key of `carrl.log.schema.COLUMNS`; other keys are left out. Their
-                times must not decrease, nor lie before those of an earlier batch.
+            transitions: batch size [T], with every key of the schema; other keys are left out. Their times must not
+                decrease, nor lie before those of an earlier batch.
 
         Raises:
-            LogError: the log is closed, the disk fails, or the batch does not fit the table of columns.
+            LogError: the log is closed, the disk fails, or the batch does not fit the schema.
         """
         self._check_open()
         try:
-            columns = columns_of(transitions)
+            columns = columns_of(transitions, self.schema)
             if len(columns["time_ns"]) == 0:
                 return
-            check_row_shapes(columns, self._row_shapes or row_shapes(columns))
             self._check_times(columns["time_ns"])
             if self._max_file_bytes is not None and self._file.size >= self._max_file_bytes:
                 self._go_on_in_another_file()
@@ -147,7 +155,7 @@ class LogWriter:
             messages = [(batch.encode(), batch.columns["time_ns"]) for batch in batches]
         except ValueError as error:
             raise LogError(f"log '{self.path}': {error}") from error
-        self._row_shapes, self._last_time = row_shapes(columns), int(columns["time_ns"][-1])
+        self._last_time = int(columns["time_ns"][-1])
         self._offset += sum(batch.count for batch in batches)
         with self._closing_on_failure():
             for content, times in messages:
@@ -226,15 +234,17 @@ class LogWriter:
         self._held_bytes = self._offset = 0
         self._sequences: Counter[str] = Counter()
         try:
-            self._file = begin_log(self.path, metadata, self._attachments)
+            self._file = begin_log(self.path, metadata, self._attachments, self.schema)
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             raise self._unwritable(error) from error
         self._flushed_at = time.monotonic()
 
     def _load_state_dict(self, state: Mapping[str, Any]) -> None:
         self._run, self._part = state["run"], state["part"]
-        self._last_time, self._row_shapes = state["last_time"], state["row_shapes"]
+        self._last_time = state["last_time"]
         try:
+            if state.get("columns") != self.schema.as_json():  # of an older version of the format, for one
+                raise ValueError("its columns are others")
             for later in self._later_parts():
                 later.unlink()
             self._file = McapFile(self.path, Position(*state["position"]))
@@ -279,13 +289,13 @@ class LogWriter:
             return columns
         wanted = columns["episode"] % self._every_nth_episode == 0
         if self._envs is not None:
-            wanted &= columns["env"] < self._envs
+            wanted &= columns["car"] < self._envs
         return {name: values[wanted] for name, values in columns.items()}
 
     def _batches(self, columns: Columns) -> list[Batch]:
         batches, offset = [], self._offset
         for piece in pieces(columns):
-            batches.append(Batch(self._run, offset, piece))
+            batches.append(Batch(self.schema, self._run, offset, piece))
             offset += batches[-1].count
         return batches
 
@@ -314,9 +324,10 @@ class LogWriter:
         """Writes a chunk of transitions, and one of all else."""
         transitions = self._held[TRANSITIONS]
         others = [message for topic, held in self._held.items() if topic != TRANSITIONS for message in held]
-        for messages in (transitions, others):
-            if messages:
-                self._file.add_chunk(messages)
+        if transitions:
+            self._file.add_chunk(transitions, self._chunk_beginning)
+        if others:
+            self._file.add_chunk(others)
         self._held = {topic: [] for topic in MESSAGE_NAMES}
         self._held_bytes = 0
 

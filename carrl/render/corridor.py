@@ -1,17 +1,22 @@
 """A picture of free space that is not one closed corridor."""
 
-from matplotlib.figure import Figure
+from pathlib import Path
 
 from carrl.printable import printable
+from carrl.render.figure import WIDTH, new_figure, save_figure
 from carrl.tracks.rings import CorridorError
 
 _MOST_PIXELS = 1000
 """Of a side of the picture that is drawn."""
 
 
-def draw_corridor(error: CorridorError) -> Figure:
-    """Free space in white, the closed lines that were found in it, and the place that the error speaks of."""
-    figure = Figure(figsize=(8, 8), layout="constrained")
+def draw_corridor(path: Path, error: CorridorError) -> None:
+    """Draws free space in white, the closed lines found in it, and the place that the error speaks of.
+
+    Raises:
+        CarrlError: the picture cannot be written there.
+    """
+    figure = new_figure(WIDTH)
     axes = figure.subplots()
     if error.free is not None:
         step = max(1, max(error.free.shape) // _MOST_PIXELS)
@@ -23,4 +28,4 @@ def draw_corridor(error: CorridorError) -> Figure:
         axes.plot(*error.place, marker="o", markersize=16, markerfacecolor="none", markeredgewidth=3, color="red")
     axes.set_title(printable(str(error)), fontsize=8, wrap=True)
     axes.set_aspect("equal")
-    return figure
+    save_figure(figure, path)

@@ -1,20 +1,34 @@
-"""A report for machines: one JSON document, and tables of runs and of groups."""
+"""A report as files: one JSON document and tables for machines, beside the text and its figures."""
 
 import json
 import math
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
+from carrl.errors import CarrlError
 from carrl.evaluation.results import Drive
-from carrl.report.comparison import SIGNIFICANCE, Comparison
-from carrl.report.findings import Findings, GroupFigure, lapped
+from carrl.files import write_whole
+from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped
 from carrl.report.groups import Group
 from carrl.report.measures import MEASURES
-from carrl.report.reading import RunResult
+from carrl.report.runs import RunResult
 from carrl.report.statistics import CONFIDENCE, RESAMPLES, SEED, Estimate
-from carrl.report.tables import comma_separated
+from carrl.report.text import Picture, comma_separated, report_text
 
 RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")
+REPORT, DOCUMENT, RUNS, GROUPS = "report.md", "report.json", "runs.csv", "groups.csv"
+RETURNS = Picture("learning_curves.png", "Return against frames: interquartile mean of the runs, with its 95 % band")
+PROFILES = Picture(
+    "performance_profile.png", "Share of the runs that have lapped, and that end above a return, with 95 % bands"
+)
+IMPROVEMENT = Picture("improvement.png", "Probability of improvement by each measure, with its 95 % interval")
+FIRST_LAPS = Picture(
+    "first_lap.png", "First greedy lap of each run; below, the interquartile mean with its 95 % interval"
+)
+SMOOTHNESS = Picture(
+    "smoothness.png", "Smoothness of each run's best lap; below, the interquartile mean with its 95 % interval"
+)
 
 
 def as_json(findings: Findings, best_lap: Drive | None = None) -> str:
@@ -113,3 +127,39 @@ def _estimate(estimate: Estimate) -> list[object]:
 
 def _number(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
+
+
+def write_report(folder: Path, findings: Findings, best_lap: Drive | None = None) -> None:
+    """Writes the report into a folder, which is made if need be.
+
+    Raises:
+        CarrlError: it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CarrlError(f"the folder '{folder}' cannot be made: {error.strerror}; choose another place") from error
+    text = report_text(findings, best_lap, draw_figures(folder, findings))
+    for name, content in (
+        (REPORT, f"# Report\n\n{text}\n"),
+        (DOCUMENT, as_json(findings, best_lap) + "\n"),
+        (RUNS, runs_csv(findings)),
+        (GROUPS, groups_csv(findings)),
+    ):
+        write_whole(folder / name, content.encode())
+
+
+def draw_figures(folder: Path, findings: Findings) -> list[Picture]:
+    """Draws what can be drawn of the findings into the folder, and tells what it has drawn."""
+    # Here, as Matplotlib takes long to import and the document alone does not need it.
+    from carrl.report.comparison_figures import draw_first_laps, draw_improvement, draw_smoothness
+    from carrl.report.curve_figures import draw_profiles, draw_returns
+
+    drawn = {
+        RETURNS: draw_returns(folder / RETURNS.file, findings.groups),
+        PROFILES: draw_profiles(folder / PROFILES.file, findings.groups),
+        IMPROVEMENT: draw_improvement(folder / IMPROVEMENT.file, findings),
+        FIRST_LAPS: draw_first_laps(folder / FIRST_LAPS.file, findings),
+        SMOOTHNESS: draw_smoothness(folder / SMOOTHNESS.file, findings),
+    }
+    return [picture for picture, is_there in drawn.items() if is_there]

@@ -16,11 +16,11 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from carrl.errors import CarrlError
 from carrl.log.scene import TrackShape
-from carrl.render.action_colours import action_colours
-from carrl.render.curve_panel import RunCurve, common_bounds, draw_panel, legend_of
-from carrl.render.figure import BLUE, FAINT, INK, VERMILLION, YELLOW, new_figure, plain_axes, save_figure
-from carrl.render.terminal_chart import round_step, span
-from carrl.render.wall_lines import connected_walls
+from carrl.render.colours import BLUE, FAINT, INK, LIGHT, VERMILLION, YELLOW
+from carrl.render.curves import RunCurve, common_bounds, draw_panel, legend_of
+from carrl.render.episode import connected_walls
+from carrl.render.figure import new_figure, plain_axes, save_figure
+from carrl.render.ticks import round_number, span
 from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct
 
 HEIGHT = 6.6
@@ -67,7 +67,7 @@ def _title(axes: Axes, title: str) -> None:
 
 def _draw_returns(axes: Axes, stats: LogStats) -> None:
     run = RunCurve(stats.returns.tolist())
-    window = max(FEW_EPISODES, round(round_step(len(stats) / MOST_BLOCKS)))
+    window = max(FEW_EPISODES, round(round_number(len(stats) / MOST_BLOCKS)))
     bounds = common_bounds([run], window)
     draw_panel(axes, run, window, bounds, size=0.6 if len(stats) < 5_000 else 0.25)
     axes.legend(loc="upper left", **legend_of(window, bounds) | {"fontsize": 7, "handletextpad": 0.3})
@@ -94,7 +94,7 @@ def _draw_actions(axes: Axes, stats: LogStats) -> None:
     plain_axes(axes)
     shares = stats.action_counts / max(1, stats.action_counts.sum())
     rows = np.arange(len(shares))
-    axes.barh(rows, shares, color=action_colours(len(shares)), height=0.55)
+    axes.barh(rows, shares, color=LIGHT.action_colours(len(shares)), height=0.55)
     for row, share in zip(rows, shares, strict=True):
         axes.annotate(
             f"{100 * share:.0f} %",
@@ -123,7 +123,7 @@ def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
     if not len(stats.crash_places):
         return
     left, bottom, right, top = stats.track.bounds
-    side = round_step(max(right - left, top - bottom) / SQUARES)
+    side = round_number(max(right - left, top - bottom) / SQUARES)
     places = stats.crash_places
     crowds = crowding(places, side)
     shown = distinct(places, side / DOTS_PER_SQUARE)
@@ -151,7 +151,7 @@ def _draw_track(axes: Axes, track: TrackShape) -> None:
     axes.add_collection(LineCollection(list(track.gates), colors="white", linewidths=1.5, zorder=2))
     axes.add_collection(LineCollection(list(track.gates[-1:]), colors=INK, linewidths=2, zorder=4))
     axes.add_collection(LineCollection(walls, colors=WALL, linewidths=0.8, zorder=3))
-    every = round(round_step(max(1.0, len(track.gates) / MOST_GATE_NUMBERS)))
+    every = round(round_number(max(1.0, len(track.gates) / MOST_GATE_NUMBERS)))
     for gate in [*range(every - 1, len(track.gates) - 1, every), len(track.gates) - 1]:
         _label_gate(axes, track, gate)
     axes.margins(0.04)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from carrl.report.reading import RunResult
+from carrl.report.runs import RunResult
 
 Value = Callable[[RunResult], float | None]
 

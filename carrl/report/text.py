@@ -1,17 +1,38 @@
-"""A report in words: Markdown for a terminal and for a file."""
+"""A report in words and tables: Markdown for a terminal and for a file."""
 
+import csv
+import io
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from carrl.config import check_targets
+from carrl.errors import ConfigError
+from carrl.evaluation.best_lap import find_best_lap
 from carrl.evaluation.results import Drive
 from carrl.printable import printable
-from carrl.report.comparison import SIGNIFICANCE, Comparison, written_p
-from carrl.report.findings import Findings, GroupFigure, lapped
+from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped, written_p
 from carrl.report.measures import MEASURES, Measure
-from carrl.report.runs_table import runs_table
+from carrl.report.runs import RunResult, missing_lap
 from carrl.report.statistics import CONFIDENCE, RESAMPLES, Estimate
-from carrl.report.tables import markdown
+from carrl.task.world import World
+from carrl.train.build import build_world
 
+HEADER = (
+    "run",
+    "episodes",
+    "frames",
+    "first lap: episode",
+    "first lap: frame",
+    "best lap",
+    "lap reward",
+    "steps",
+    "forward share",
+    "switches / 100 m",
+    "reversals",
+)
+BEST_LAP_HEADER = ("forward / best", "switches / best")
+"""What is added where the best possible lap is known: a run's figures as shares of its."""
 METHOD = f"""\
 - Runs of a group differ in their seed alone. Of a group stands the interquartile mean of its runs, with its
   {CONFIDENCE:.0%} interval: percentiles of a bootstrap, stratified by group, of {RESAMPLES:,} resamples.
@@ -27,6 +48,96 @@ METHOD = f"""\
 - Returns and rewards are compared only between groups with the same track and rewards.
 - Seconds depend on the machine and on what else it did. Seeds that were trained at once share one clock and one
   compilation; their times are not compared."""
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown, its first column to the left and the others to the right."""
+    lines = [[printable(cell).replace("|", "\\|") for cell in line] for line in [header, *rows]]
+    lines.insert(1, ["---", *["---:"] * (len(header) - 1)])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def comma_separated(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table as CSV; None is an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def runs_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
+    """The runs as a table in Markdown, with their distance from the best possible lap if that is given."""
+    header, table = [*HEADER], [_row(run) for run in runs]
+    if best_lap is not None:
+        header += BEST_LAP_HEADER
+        table = [row + _beside(run, best_lap) for row, run in zip(table, runs, strict=True)]
+    return markdown(header, table)
+
+
+def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = ()) -> Drive:
+    """The best possible lap in the world that the runs were trained in, which may have parts of the trusted modules.
+
+    Raises:
+        ConfigError: it is not one and the same, or no run has a configuration that can be read.
+        CarrlError: as `find_best_lap`.
+    """
+    runs = [run for run in runs if run.config]
+    if not runs:
+        raise ConfigError("no run has a configuration that can be read; the best possible lap depends on it")
+    for run in runs:
+        check_targets(run.config, trust)
+    worlds = [build_world(run.config) for run in runs]
+    differing = next((run.label for run, world in zip(runs, worlds, strict=True) if not _alike(world, worlds[0])), None)
+    if differing is not None:
+        raise ConfigError(f"'{runs[0].label}' and '{differing}' were not trained with the same track, car and sensors")
+    world = worlds[0]
+    return find_best_lap(world, bin_size)
+
+
+def _alike(world: World, other: World) -> bool:
+    """Whether the same laps are possible without a step near a wall."""
+    distances = [each.sensor.max_range * each.reward.near_wall.threshold for each in (world, other)]
+    tracks = [[track.as_dict() for track in each.circuits.training] for each in (world, other)]
+    same = tracks[0] == tracks[1] and (world.vehicle, world.action) == (other.vehicle, other.action)
+    fans = [(each.sensor.rays, each.sensor.field_of_view) for each in (world, other)]
+    return same and fans[0] == fans[1] and math.isclose(*distances, rel_tol=1e-4)
+
+
+def _row(run: RunResult) -> list[str]:
+    """The run's figures under `HEADER`."""
+    if run.summary is None:
+        return [run.label, str(len(run.ends.returns)), *[run.state] * 2, *["-"] * (len(HEADER) - 4)]
+    first = run.summary["first_lap"]
+    row = [
+        run.label,
+        f"{run.summary['episodes']:,}",
+        f"{run.summary['frames']:,}",
+        *([f"{first['episode']:,}", f"{first['frame']:,}"] if first else [missing_lap(run.summary, "never")] * 2),
+    ]
+    best = run.summary["evaluation"]
+    if best is None:
+        return [*row, *["-"] * (len(HEADER) - len(row))]
+    return [
+        *row,
+        "complete" if best["lap_completed"] else f"{best['progress']:.0%}",
+        f"{best['lap_reward']:.0f}",
+        f"{best['lap_steps']}",
+        f"{best['forward_share']:.0%}",
+        f"{best['switches_per_100m']:.1f}",
+        f"{best['reversals']}",
+    ]
+
+
+def _beside(run: RunResult, best_lap: Drive) -> list[str]:
+    """The run's figures under `BEST_LAP_HEADER`."""
+    own = (run.summary or {}).get("evaluation")
+    if own is None:
+        return ["-"] * len(BEST_LAP_HEADER)
+    return [
+        f"{own[name] / getattr(best_lap, name):.2f}" if getattr(best_lap, name) else "-"
+        for name in ("forward_share", "switches_per_100m")
+    ]
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Car:
     Attributes:
         turn_radius: of the circle that it drives when it turns all the time, m.
         step_length: distance driven between two decisions, m.
-        body_radius: m.
+        body_radius: of its body, or half its width, m.
         near_wall: a wall this near to the middle of the car, square to the road, counts as near, m.
     """
 
@@ -46,7 +46,7 @@ class Car:
         return Car(
             turn_radius=_turn_radius(vehicle),
             step_length=vehicle.step_length,
-            body_radius=vehicle.body_radius,
+            body_radius=vehicle.body.half_width,
             near_wall=sideways * proximity_threshold * sensor.max_range,
         )
 

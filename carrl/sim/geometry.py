@@ -87,3 +87,42 @@ def path_clearance(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:
     )
     clearance = torch.minimum(from_path, from_segments)
     return torch.where(crosses(starts, ends, segments), 0.0, clearance).amin(dim=-1)
+
+
+def rectangle_touches(
+    starts: Tensor, ends: Tensor, headings: Tensor, half_size: tuple[float, float], segments: Tensor
+) -> Tensor:
+    """Whether a rectangle that moves along each straight path start-end touches any segment on its way.
+
+    A segment moved back along the path covers a parallelogram, which has no point inside the rectangle at the start if
+    and only if an axis separates the two: one of the rectangle's own, or one square to the segment or to the path.
+
+    Source: Gottschalk, Lin and Manocha 1996, "OBBTree", the separating axis theorem.
+
+    Args:
+        starts: of the rectangle's middle, [B, 2], m.
+        ends: [B, 2], m. May equal `starts`.
+        headings: of the rectangle, the same all the way, [B], rad.
+        half_size: half of its length along the heading, and of its width, m.
+        segments: the same for all, [S, 2, 2], or each path's own, [B, S, 2, 2], m.
+
+    Returns:
+        [B], bool.
+    """
+    forward = torch.stack([headings.cos(), headings.sin()], dim=-1)
+    left = torch.stack([-headings.sin(), headings.cos()], dim=-1)
+    first, last = (point - starts[:, None] for point in segments.unbind(-2))
+    path = (ends - starts)[:, None]
+    touches = torch.ones(first.shape[:-1], dtype=torch.bool, device=starts.device)
+    for axis in (forward[:, None], left[:, None], _square_to(last - first), _square_to(path)):
+        along, across = ((axis * own[:, None]).sum(-1).abs() for own in (forward, left))
+        reach = half_size[0] * along + half_size[1] * across
+        begin, end, way = ((axis * vector).sum(-1) for vector in (first, last, path))
+        low, high = torch.minimum(begin, end) - way.clamp(min=0), torch.maximum(begin, end) - way.clamp(max=0)
+        separates = (low >= reach) | (high <= -reach)
+        touches &= ~(separates & ((axis != 0).any(-1)))
+    return touches.any(dim=-1)
+
+
+def _square_to(vectors: Tensor) -> Tensor:
+    return torch.stack([-vectors[..., 1], vectors[..., 0]], dim=-1)

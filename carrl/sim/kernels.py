@@ -16,7 +16,7 @@ from torch import Tensor
 
 from carrl.sim.machine_code import compiled, inlined
 from carrl.sim.terrain import Terrain
-from carrl.sim.vehicle import VehicleModel
+from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
 
 # Written out, since Numba's cache sees only changes to this file.
 _TINY = np.finfo(np.float64).tiny
@@ -33,7 +33,9 @@ class World(NamedTuple):
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
         rays: how many of them count.
         max_range: of the rays, m.
-        body_radius: of the disc that must not touch a wall, m.
+        body_radius: of the disc that must not touch a wall, m; 0 for a rectangle.
+        half_length: of the rectangle that must not, m; 0 for a disc.
+        half_width: likewise.
         most_gates: how many gates one step can cross at the most.
     """
 
@@ -50,6 +52,8 @@ class World(NamedTuple):
     rays: int
     max_range: float
     body_radius: float
+    half_length: float
+    half_width: float
     most_gates: int
 
 
@@ -68,12 +72,15 @@ class Kernels:
         self, terrain: Terrain, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
     ) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
+        radius, half_length, half_width = _measures_of(vehicle.body)
         self._world = World(
             **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in terrain._asdict().items()},
             fan=_fan(ray_angles),
             rays=len(ray_angles),
             max_range=float(max_range),
-            body_radius=float(vehicle.body_radius),
+            body_radius=radius,
+            half_length=half_length,
+            half_width=half_width,
             most_gates=most_gates,
         )
         self._vehicle, self._constants = vehicle, np.array(vehicle.constants, dtype=np.float64)
@@ -108,6 +115,11 @@ class Kernels:
         if self._vehicle.kernel is None:
             return _as_array(self._vehicle.step(torch.from_numpy(state), control), torch.float32)
         return self._vehicle.kernel(state, _as_array(control, torch.float32), self._constants)
+
+
+def _measures_of(body: Disc | Rectangle) -> tuple[float, float, float]:
+    """The body's radius, half its length and half its width as `World` has them, m."""
+    return (float(body.radius), 0.0, 0.0) if isinstance(body, Disc) else (0.0, body.length / 2, body.width / 2)
 
 
 def _as_array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
@@ -164,7 +176,12 @@ def _follow(
         level = _level(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, level)
         # What is no number fails every comparison: such a car would drive on for ever.
-        hit = not math.isfinite(x + y) or _touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+        if not math.isfinite(x + y):
+            hit = True
+        elif world.half_length > 0:
+            hit = _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        else:
+            hit = _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
@@ -204,8 +221,10 @@ def _walls_near(world: World, x: float, y: float, level: int) -> tuple[int, int,
 
 
 @inlined
-def _touches(world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float) -> bool:
-    """Whether the body touches a wall of these entries on its straight way."""
+def _disc_touches(
+    world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float
+) -> bool:
+    """Whether the disc touches a wall of these entries on its straight way."""
     radius = world.body_radius
     end_x, end_y = begin_x + path_x, begin_y + path_y
     for entry in range(begin, end):
@@ -226,6 +245,48 @@ def _touches(world: World, begin: int, end: int, begin_x: float, begin_y: float,
         if begin_side * end_side < 0 and first_side * last_side < 0:
             return True
     return False
+
+
+@inlined
+def _rectangle_touches(
+    world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float, heading: float
+) -> bool:
+    """Whether the rectangle touches a wall of these entries on its straight way: see `geometry.rectangle_touches`."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    way_x, way_y = cos * path_x + sin * path_y, cos * path_y - sin * path_x  # in the frame of the rectangle
+    for entry in range(begin, end):
+        first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
+        first_x, first_y, last_x, last_y = first_x - begin_x, first_y - begin_y, last_x - begin_x, last_y - begin_y
+        first_x, first_y = cos * first_x + sin * first_y, cos * first_y - sin * first_x
+        last_x, last_y = cos * last_x + sin * last_y, cos * last_y - sin * last_x
+        if not (
+            _separates(world, 1.0, 0.0, first_x, first_y, last_x, last_y, way_x, way_y)
+            or _separates(world, 0.0, 1.0, first_x, first_y, last_x, last_y, way_x, way_y)
+            or _separates(world, first_y - last_y, last_x - first_x, first_x, first_y, last_x, last_y, way_x, way_y)
+            or _separates(world, -way_y, way_x, first_x, first_y, last_x, last_y, way_x, way_y)
+        ):
+            return True
+    return False
+
+
+@inlined
+def _separates(
+    world: World,
+    axis_x: float,
+    axis_y: float,
+    first_x: float,
+    first_y: float,
+    last_x: float,
+    last_y: float,
+    way_x: float,
+    way_y: float,
+) -> bool:
+    """Whether the rectangle about the origin and the wall moved back along the way lie apart along an axis."""
+    reach = world.half_length * abs(axis_x) + world.half_width * abs(axis_y)
+    first, last = axis_x * first_x + axis_y * first_y, axis_x * last_x + axis_y * last_y
+    way = axis_x * way_x + axis_y * way_y
+    low, high = min(first, last) - max(way, 0.0), max(first, last) - min(way, 0.0)
+    return reach > 0 and (low >= reach or high <= -reach)
 
 
 @inlined

@@ -15,10 +15,10 @@ from torch import Tensor
 
 from carrl.errors import ConfigError
 from carrl.rows import Rows
-from carrl.sim.geometry import cross, path_clearance, ray_distances
+from carrl.sim.geometry import cross, path_clearance, ray_distances, rectangle_touches
 from carrl.sim.sensor import Sensor
 from carrl.sim.terrain import Plot, Terrain
-from carrl.sim.vehicle import VehicleModel
+from carrl.sim.vehicle import Disc, VehicleModel
 from carrl.tracks.routes import Routes
 from carrl.tracks.track import Track
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carrl.sim.kernels import Kernels
 
 _START_CLEARANCE = 1.5
-"""How many body radii the middle of a car that starts beside the centreline keeps from the wall at least."""
+"""How many radii or half widths of its body a car that starts beside the centreline keeps from the wall at least."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Simulator:
         if not self.tracks:
             raise ConfigError("there is no track to drive on; name at least one")
         self.vehicle, self.sensor = vehicle, sensor
-        touch = vehicle.step_length + vehicle.body_radius
+        touch = vehicle.step_length + vehicle.body.reach
         reach = max(sensor.max_range, touch)
         terrain = Terrain.join([Plot.of_track(each, reach) for each in self.tracks], reach, touch)
         self.terrain = Terrain(*(tensor.to(device) for tensor in terrain))
@@ -180,7 +180,8 @@ class Simulator:
     def step(self, cars: CarState, control: Tensor) -> Outcome:
         """Moves every car by one time step.
 
-        The body is a disc, swept along the straight way of the step, so that no wall is jumped over at any speed.
+        The body is swept along the straight way of the step, a rectangle with the heading after it, so that no wall is
+        jumped over at any speed.
         A gate counts when the middle of the car crosses it forward and it is the next one in order; nothing else
         counts, so going back and forth over a gate earns nothing, nor does driving the wrong way round. A car whose
         pose is not finite has collided.
@@ -197,7 +198,13 @@ class Simulator:
         state = self.vehicle.step(cars.state, control)
         begin, end = cars.state[:, :2].double(), state[:, :2].double()
         walls = self._walls_near(replace(cars, state=state))
-        collided = ~(path_clearance(begin, end, walls) >= self.vehicle.body_radius)  # also where it is nan
+        body = self.vehicle.body
+        if isinstance(body, Disc):
+            collided = ~(path_clearance(begin, end, walls) >= body.radius)  # also where it is nan
+        else:
+            half_size = body.length / 2, body.width / 2
+            collided = rectangle_touches(begin, end, state[:, 2].double(), half_size, walls)
+            collided = collided | ~end.isfinite().all(dim=-1)
         passed = torch.where(collided, 0, self._count_gates(begin, end, cars))
         next_gate = (cars.next_gate + passed) % self.gate_counts[cars.track]
         after = CarState(state, next_gate, cars.gates_passed + passed, cars.track)
@@ -237,7 +244,7 @@ class Simulator:
     def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
         """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""
         left, right = (
-            (self.routes.clearance(track, stations) - _START_CLEARANCE * self.vehicle.body_radius).clamp(min=0).T
+            (self.routes.clearance(track, stations) - _START_CLEARANCE * self.vehicle.body.half_width).clamp(min=0).T
         )
         shift = torch.where(offset > 0, left, right) * offset
         return shift[:, None] * torch.stack([-heading.sin(), heading.cos()], dim=-1)

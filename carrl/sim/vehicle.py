@@ -30,6 +30,56 @@ Kernel = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """States [N, S], float32, controls [N, C], float32, and the model's constants [K], float64, to the next states."""
 
 
+@dataclass(frozen=True)
+class Disc:
+    """A body that is the same from all sides.
+
+    Attributes:
+        radius: m.
+    """
+
+    radius: float
+
+    @property
+    def half_width(self) -> float:
+        """From the middle of the car to its side, m."""
+        return self.radius
+
+    @property
+    def reach(self) -> float:
+        """From the middle of the car to the point of the body that is furthest off, m."""
+        return self.radius
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A body with its middle in that of the car, along the heading.
+
+    Attributes:
+        length: along the heading, m.
+        width: across it, m.
+    """
+
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError unless both are positive numbers, neither tiny nor huge."""
+        for name, value in vars(self).items():
+            if isinstance(value, bool) or not (isinstance(value, int | float) and LEAST <= value <= MOST):
+                raise ConfigError(f"body.{name} is {value}; it must be a number between {LEAST:g} and {MOST:g}")
+
+    @property
+    def half_width(self) -> float:
+        """From the middle of the car to its side, m."""
+        return self.width / 2
+
+    @property
+    def reach(self) -> float:
+        """From the middle of the car to a corner, m."""
+        return math.hypot(self.length, self.width) / 2
+
+
 class VehicleModel(ABC):
     """What all cars have in common.
 
@@ -37,7 +87,7 @@ class VehicleModel(ABC):
         state_names: of the state's entries, beginning with those of `POSE`.
         control_names: of the controls; each lies in [-1, 1].
         time_step: simulated time of one step, s.
-        body_radius: radius of the disc that must not touch a wall, m.
+        body_radius: radius of the disc that must not touch a wall, m, unless `body` is another one.
     """
 
     state_names: ClassVar[tuple[str, ...]] = POSE
@@ -52,6 +102,11 @@ class VehicleModel(ABC):
                 raise ConfigError(f"vehicle.{name} is {value}; it must be a positive number")
             if not LEAST <= value <= MOST:
                 raise ConfigError(f"vehicle.{name} is {value}; it must lie between {LEAST:g} and {MOST:g}")
+
+    @property
+    def body(self) -> Disc | Rectangle:
+        """What must not touch a wall."""
+        return Disc(self.body_radius)
 
     @property
     @abstractmethod

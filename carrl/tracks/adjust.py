@@ -15,7 +15,17 @@ from shapely import LinearRing, distance, points
 from torch import Tensor
 
 from carrl.errors import TrackError, shown
-from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, MIN_STEP, Centreline, Road, normals, without_repeats
+from carrl.tracks.centreline import (
+    MAX_COORDINATE,
+    MIN_POINTS,
+    MIN_STEP,
+    MITRED,
+    Centreline,
+    Road,
+    normals,
+    turns,
+    without_repeats,
+)
 from carrl.tracks.crossings import cut_folds
 from carrl.tracks.rings import arc_lengths, cast, resampled, signed_area
 
@@ -107,7 +117,9 @@ def _is_number(value: Any) -> bool:
 def as_centreline(track: "Track") -> Centreline:
     """The track as a centreline with widths, whose walls are those of the track as nearly as such walls can be."""
     middle, left, right = (_array(line) for line in (track.centreline, track.left_wall, track.right_wall))
-    widths = (np.linalg.norm(side - middle, axis=1).clip(MIN_STEP) for side in (right, left))
+    turn = np.abs(turns(middle))
+    mitre = np.where((turn > MITRED[0]) & (turn < MITRED[1]), np.cos(turn / 2), 1)
+    widths = ((mitre * np.linalg.norm(side - middle, axis=1)).clip(MIN_STEP) for side in (right, left))
     simple = Centreline(middle, *widths)
     walls = [cut_folds(wall, middle) for wall in simple.walls()]
     if max(map(_apart, walls, (left, right))) < _EXACT:

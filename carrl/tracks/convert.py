@@ -55,7 +55,7 @@ def convert(track: Track, path: Path, resolution: float | None = None) -> Conver
         raise TrackError(f"'{path}': a resolution is for maps, {' and '.join(MAPS)}; leave it out")
     pixel = 0.0
     if ending in MAPS:
-        pixel = resolution or default_resolution(track)
+        pixel = default_resolution(track) if resolution is None else resolution
         if not RESOLUTIONS[0] <= pixel <= RESOLUTIONS[1]:
             raise TrackError(f"the resolution is {pixel:g}; it must be from {RESOLUTIONS[0]:g} to {RESOLUTIONS[1]:g} m")
     files = WRITERS[ending](path, track, pixel)

@@ -6,85 +6,153 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from torchrl.collectors import Collector
-from torchrl.data import Categorical, TensorDictReplayBuffer, TensorSpec
-from torchrl.modules import QValueActor
+from torch import nn
+from torchrl.data import TensorDictReplayBuffer
 
-from carrl.algorithms.common.policy import GreedyPolicy
-from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
-from carrl.algorithms.dqn.exploration import EpsilonGreedy
-from carrl.algorithms.dqn.exploring_policy import ExploringPolicy
+from carrl.algorithms.algorithm import Algorithm, CollectPolicy, Policy, Recipe
 from carrl.config import build_node, build_terms
-from carrl.data.cluster_collector import ClusterCollector, WorkerParts
+from carrl.data.collector import Collector, WorkerParts
 from carrl.data.logs import check_logs, fill_from_logs
-from carrl.data.returns import NStepReturns
+from carrl.data.source import Logged, Simulated, Source
 from carrl.env.track_env import TrackEnv
-from carrl.errors import ConfigError, shown
+from carrl.errors import CheckpointError, ConfigError, shown
+from carrl.generators import part_generator, part_seed
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
 from carrl.task.world import World
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
-from carrl.train.combinations import check_offline, check_priorities
-from carrl.train.learner import Agent, Learner
-from carrl.train.plan import EvaluationPlan, OfflinePlan, TrainingPlan
-
-
-@dataclass(frozen=True)
-class Learning:
-    """What learns, wherever its transitions come from; `agents` train side by side, each as it would alone."""
-
-    world: World
-    agents: list[Agent]
-    policy: GreedyPolicy
-    replay_buffer: TensorDictReplayBuffer
-    learner: Learner
-    plan: TrainingPlan
-
-
-@dataclass(frozen=True)
-class Pipeline(Learning):
-    """The parts of a training run in the simulator, built and wired."""
-
-    env: TrackEnv
-    exploration: EpsilonGreedy
-    collector: Collector | ClusterCollector
-    evaluation: EvaluationPlan
-    returns: NStepReturns | None
-
-
-@dataclass(frozen=True)
-class OfflinePipeline(Learning):
-    """The parts of a training run on logs, built and wired: there is no simulator among them."""
-
-    offline_plan: OfflinePlan
-
+from carrl.train.checkpoint import load_checkpoint
+from carrl.train.files import CONFIG, checkpoint_path
+from carrl.train.learner import Learner
+from carrl.train.plan import EvaluationPlan, Limits, OfflinePlan, TrainingPlan
 
 Config = Mapping[str, Any]
+DEFAULT_ALGORITHM = {"_target_": "carrl.algorithms.dqn.dqn.DQNRecipe"}
+"""Of runs from before there was a choice."""
 
-CLUSTER_COLLECTOR = "carrl.data.cluster_collector.ClusterCollector"
+
+@dataclass(frozen=True)
+class Pipeline:
+    """The parts of a training run, built and wired, wherever its transitions come from.
+
+    Attributes:
+        world: that is driven in.
+        algorithm: whose replicates train side by side, each as it would alone.
+        replay_buffer: with the memories of all replicates.
+        source: what fills it.
+        learner: what makes the updates.
+        plan: when a state is kept, and by which seeds is trained.
+        limits: when a run is over.
+        evaluation_interval: env steps between two evaluations; None for one at the end alone.
+    """
+
+    world: World
+    algorithm: Algorithm
+    replay_buffer: TensorDictReplayBuffer
+    source: Source
+    learner: Learner
+    plan: TrainingPlan
+    limits: Limits
+    evaluation_interval: int | None
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """Builds a training run in the simulator from its resolved configuration, as plain Python values.
+    """Builds a training run from its resolved configuration, as plain Python values.
+
+    A run on logs has all their transitions in the replay buffer of every replicate.
 
     Raises:
-        CarrlError: a part refuses its values.
+        CarrlError: a part refuses its values, or a log cannot be read or does not fit the configuration.
     """
-    learning = _build_learning(config, config["replay_buffer"])
-    seeds = [agent.seed for agent in learning.agents]
-    env = _build_env(config, learning.world, seeds, config["device"])
-    exploration = _build_exploration(config, env.action_spec_unbatched, seeds).to(config["device"])
-    return Pipeline(
-        **vars(learning),
-        env=env,
-        exploration=exploration,
-        collector=_build_collector(config, env, learning, ExploringPolicy(learning.policy, exploration)),
-        evaluation=build_node("evaluation", config["evaluation"]),
-        returns=_build_optional(config, "returns", gamma=config["loss"]["gamma"]),
+    device = _checked_device(config["device"])
+    compiled = _checked_flag("compile", config["compile"])
+    offline: OfflinePlan | None = build_node("data", config["data"]) if learns_from_logs(config) else None
+    if offline and _has_n_step_returns(config):
+        raise ConfigError(
+            "returns are over several steps, which a log may not have in full, and data is log; set returns.steps=1"
+        )
+    plan: TrainingPlan = build_node("trainer", config["trainer"])
+    seeds = plan.agent_seeds(config["seed"])
+    world = build_world(config)
+    buffer_node = config["replay_buffer"]
+    if offline:
+        buffer_node = _with_room(buffer_node, check_logs(offline.paths, world))
+    algorithm = _recipe(config).build(config, world, seeds, device)
+    buffer = _build_buffer(buffer_node, device, seeds)
+    algorithm.check_memory(buffer.sampler.is_weighted)
+    interval: int | None = None
+    source: Source
+    if offline:
+        fill_from_logs(buffer, offline.paths, len(seeds), world.action)
+        source, limits = Logged(buffer, offline.updates), Limits(updates=offline.updates)
+    else:
+        source, limits = _build_simulated(config, world, algorithm, buffer), Limits(plan.frames, plan.episodes)
+        evaluation: EvaluationPlan = build_node("evaluation", config["evaluation"])
+        interval = evaluation.interval
+    frames_per_update = 1 if offline else plan.frames_per_update
+    learner = Learner(algorithm, buffer, compiled=compiled, frames_per_update=frames_per_update)
+    return Pipeline(world, algorithm, buffer, source, learner, plan, limits, interval)
+
+
+def _recipe(config: Config) -> Recipe:
+    recipe: Recipe = build_node("algorithm", config.get("algorithm") or DEFAULT_ALGORITHM)
+    return recipe
+
+
+def _build_buffer(node: Config, device: torch.device | str, seeds: list[int]) -> TensorDictReplayBuffer:
+    buffer: TensorDictReplayBuffer = build_node(
+        "replay_buffer", node, device=device, generators=[part_generator(seed, "replay_buffer") for seed in seeds]
     )
+    return buffer
+
+
+def _with_room(node: Config, transitions: int) -> Config:
+    """The replay buffer's node with the least multiple of its capacity that holds so many transitions.
+
+    A multiple, since compiled updates are made for one capacity: most logs share it with each other and with runs in
+    the simulator.
+
+    Raises:
+        ConfigError: the node's values are refused, or there are too few transitions for a minibatch.
+    """
+    buffer = _build_buffer(node, "cpu", [])
+    if transitions < buffer.batch_size:
+        raise ConfigError(
+            f"data.path has {transitions} transitions, fewer than the {buffer.batch_size} of one minibatch; "
+            "name more logs, or set a smaller replay_buffer.batch_size"
+        )
+    return {**node, "capacity": node["capacity"] * -(-transitions // node["capacity"])}
+
+
+def _build_simulated(config: Config, world: World, algorithm: Algorithm, buffer: TensorDictReplayBuffer) -> Simulated:
+    env = _build_env(config, world, list(algorithm.seeds), config["device"])
+    parts = WorkerParts(partial(_build_workers_env, config, world), partial(_build_workers_policy, config))
+    collector: Collector = build_node(
+        "collector",
+        config["collector"],
+        env=env,
+        policy=algorithm.collect_policy,
+        seeds=algorithm.seeds,
+        parts=parts,
+    )
+    if not _has_n_step_returns(config):
+        return Simulated(env, collector, buffer, None)
+    if collector.may_break_off:
+        raise ConfigError(
+            "collector=ray may break an episode off, which returns over several steps would join to the next; "
+            "set returns.steps=1, or collector=sync"
+        )
+    if "gamma" not in config["loss"]:
+        raise ConfigError("returns over several steps need loss.gamma, which this loss lacks; set returns.steps=1")
+    returns = build_node("returns", config["returns"], gamma=config["loss"]["gamma"])
+    return Simulated(env, collector, buffer, returns)
+
+
+def _has_n_step_returns(config: Config) -> bool:
+    node = config.get("returns")
+    return isinstance(node, Mapping) and node.get("steps") != 1
 
 
 def _build_env(config: Config, world: World, seeds: list[int], device: str, **changes: Any) -> TrackEnv:
@@ -99,49 +167,17 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         reward=world.reward,
         start=build_node("start", config["start"]),
         device=device,
-        seed=[_part_seed(seed, "env") for seed in seeds],
+        seed=[part_seed(seed, "env") for seed in seeds],
     )
     return env
-
-
-def _build_exploration(config: Config, action_spec: TensorSpec, seeds: list[int]) -> EpsilonGreedy:
-    exploration: EpsilonGreedy = build_node(
-        "exploration",
-        config["exploration"],
-        action_spec=action_spec,
-        generators=[_generator(seed, "exploration") for seed in seeds],
-    )
-    return exploration
-
-
-def _build_collector(
-    config: Config, env: TrackEnv, learning: Learning, policy: ExploringPolicy
-) -> Collector | ClusterCollector:
-    node = config["collector"]
-    if not isinstance(node, Mapping) or node.get("_target_") != CLUSTER_COLLECTOR:
-        return build_node("collector", node, env=env, policy=policy)
-    if len(learning.agents) != 1:
-        raise ConfigError("collector=ray trains one agent; leave trainer.seeds out, or set collector=sync")
-    if config.get("returns"):
-        raise ConfigError(
-            "collector=ray may break an episode off, which returns over several steps would join to the next; "
-            "set returns=one_step, or collector=sync"
-        )
-    parts = WorkerParts(
-        make_env=partial(_build_workers_env, config, learning.world),
-        make_policy=partial(_build_workers_policy, config, env.action_spec_unbatched.to("cpu")),
-    )
-    seed = learning.agents[0].seed
-    return build_node("collector", node, cars=env.batch_size[0], seed=seed, parts=parts, policy=policy)
 
 
 def _build_workers_env(config: Config, world: World, cars: int, seed: int) -> TrackEnv:
     return _build_env(config, world, [seed], "cpu", num_envs=cars)
 
 
-def _build_workers_policy(config: Config, action_spec: TensorSpec, seed: int) -> ExploringPolicy:
-    greedy = GreedyPolicy([build_network(config, build_world(config))])
-    return ExploringPolicy(greedy, _build_exploration(config, action_spec, [seed]))
+def _build_workers_policy(config: Config, seed: int) -> CollectPolicy:
+    return _recipe(config).build(config, build_world(config), [seed], torch.device("cpu")).collect_policy
 
 
 def learns_from_logs(config: Config) -> bool:
@@ -157,84 +193,6 @@ def logs_of(config: Config) -> list[Path]:
     return plan.paths
 
 
-def build_offline_pipeline(config: Config) -> OfflinePipeline:
-    """Builds a training run on logs, with all their transitions in the replay buffer of every agent.
-
-    Raises:
-        CarrlError: a part refuses its values, or a log cannot be read or does not fit the configuration.
-    """
-    check_offline(config)
-    offline_plan: OfflinePlan = build_node("data", config["data"])
-    transitions = check_logs(offline_plan.paths, build_world(config))
-    learning = _build_learning(config, _with_room(config["replay_buffer"], transitions))
-    fill_from_logs(learning.replay_buffer, offline_plan.paths, len(learning.agents), learning.world.action)
-    return OfflinePipeline(**vars(learning), offline_plan=offline_plan)
-
-
-def _with_room(node: Config, transitions: int) -> Config:
-    """The replay buffer's node with the least multiple of its capacity that holds so many transitions.
-
-    A multiple, since compiled updates are made for one capacity: most logs share it with each other and with runs in
-    the simulator.
-
-    Raises:
-        ConfigError: the node's values are refused, or there are too few transitions for a minibatch.
-    """
-    buffer: TensorDictReplayBuffer = build_node("replay_buffer", node, device="cpu", generators=[])
-    if transitions < buffer.batch_size:
-        raise ConfigError(
-            f"data.path has {transitions} transitions, fewer than the {buffer.batch_size} of one minibatch; "
-            "name more logs, or set a smaller replay_buffer.batch_size"
-        )
-    return {**node, "capacity": node["capacity"] * -(-transitions // node["capacity"])}
-
-
-def _build_learning(config: Config, replay_buffer_node: Config) -> Learning:
-    device = _checked_device(config["device"])
-    compiled = _checked_flag("compile", config["compile"])
-    plan: TrainingPlan = build_node("trainer", config["trainer"])
-    seeds = plan.agent_seeds(config["seed"])
-    world = build_world(config)
-    frames_per_update = 1 if learns_from_logs(config) else plan.frames_per_update
-    agents = [_build_agent(config, world, seed, device) for seed in seeds]
-    replay_buffer = build_node(
-        "replay_buffer",
-        replay_buffer_node,
-        device=device,
-        generators=[_generator(seed, "replay_buffer") for seed in seeds],
-    )
-    check_priorities(agents[0].loss, replay_buffer)
-    return Learning(
-        world=world,
-        agents=agents,
-        policy=GreedyPolicy([agent.network for agent in agents]),
-        replay_buffer=replay_buffer,
-        learner=Learner(agents, replay_buffer, compiled=compiled, frames_per_update=frames_per_update),
-        plan=plan,
-    )
-
-
-def _build_agent(config: Config, world: World, seed: int, device: torch.device) -> Agent:
-    network = build_network(config, world, _generator(seed, "network")).to(device)
-    loss = build_node("loss", config["loss"], network=network)
-    target_updater = build_node("target_updater", config["target_updater"], loss=loss)
-    return Agent(
-        seed=seed,
-        network=network,
-        loss=loss,
-        optimizer=build_node("optimizer", config["optimizer"], params=list(loss.parameters())),
-        target_updater=target_updater,
-        clipping=_build_optional(config, "gradient_clipping"),
-        learning_rate=_build_optional(config, "learning_rate"),
-        noise=WeightNoise(network, loss, _generator(seed, "noise")) if is_noisy(network) else None,
-    )
-
-
-def _build_optional(config: Config, name: str, **dependencies: Any) -> Any:
-    """A part that may be absent, as it is in runs of earlier versions."""
-    return build_node(name, config[name], **dependencies) if config.get(name) else None
-
-
 def build_world(config: Config) -> World:
     """Builds the track, car, sensors, observation and reward that a run was, or will be, trained with."""
     track: Track | Circuits = build_node("track", config["track"])
@@ -248,22 +206,42 @@ def build_world(config: Config) -> World:
     )
 
 
-def build_network(config: Config, world: World, generator: torch.Generator | None = None) -> QValueActor:
-    """Builds the network for this world, with the weights that the generator draws.
+def build_network(config: Config, world: World) -> nn.Module:
+    """Builds the network that the run's checkpoints keep.
 
     Raises:
-        ConfigError: the actions of the world are not a choice among some.
+        ConfigError: the world has other actions than the algorithm can choose among.
     """
-    spec = world.action.spec
-    if not isinstance(spec, Categorical):
-        raise ConfigError("the network has a value for each action; set an action of discrete choices, such as steer3")
-    return build_node(
-        "network",
-        config["network"],
-        observation_size=world.observation_size,
-        action_count=spec.n,
-        generator=generator or torch.Generator(),
+    return _recipe(config).make_network(config, world)
+
+
+def load_greedy_policy(run: Path, checkpoint: str, config: Config, world: World) -> Policy:
+    """The greedy policy of a run's `best` or `last` network.
+
+    Raises:
+        CheckpointError: the checkpoint is missing, damaged, or of another network than the configuration's.
+    """
+    path = checkpoint_path(run, checkpoint)
+    state: Any = load_checkpoint(path).get("network")
+    network = build_network(config, world)
+    if not _fits(state, network.state_dict()):
+        raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")
+    network.load_state_dict(state)
+    return _recipe(config).greedy_policy(network)
+
+
+def _fits(state: object, wanted: Mapping[str, torch.Tensor]) -> bool:
+    """Whether these are the network's parameters, by name, type and shape, all of them finite numbers."""
+    return (
+        isinstance(state, dict)
+        and state.keys() == wanted.keys()
+        and all(isinstance(state[name], torch.Tensor) and _alike(state[name], own) for name, own in wanted.items())
     )
+
+
+def _alike(found: torch.Tensor, wanted: torch.Tensor) -> bool:
+    kinds = (found.layout, found.dtype, found.device, found.shape)
+    return kinds == (wanted.layout, wanted.dtype, wanted.device, wanted.shape) and bool(found.isfinite().all())
 
 
 def _checked_device(name: str) -> torch.device:
@@ -284,16 +262,3 @@ def _checked_flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise ConfigError(f"{name} is {shown(value)}; it must be true or false")
     return value
-
-
-_RANDOM_PARTS = ("env", "network", "exploration", "replay_buffer", "noise")  # each one's seed depends on its place
-
-
-def _generator(seed: int, part: str) -> torch.Generator:
-    """A generator for one part, so that what one part draws never shifts what another draws."""
-    return torch.Generator().manual_seed(_part_seed(seed, part))
-
-
-def _part_seed(seed: int, part: str) -> int:
-    states = np.random.SeedSequence(seed).generate_state(len(_RANDOM_PARTS))
-    return int(states[_RANDOM_PARTS.index(part)])

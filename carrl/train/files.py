@@ -10,10 +10,12 @@ learning_curve.png, lap.png
 """
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from carrl.errors import CheckpointError
+from carrl.config import check_targets
+from carrl.errors import CheckpointError, ConfigError
 from carrl.files import read_whole, write_whole
 from carrl.plain_yaml import parse_yaml
 
@@ -43,8 +45,26 @@ def seed_folders(run: Path) -> list[Path]:
     return sorted(found, key=lambda folder: int(folder.name[5:])) or [run]
 
 
-def load_config(run: Path) -> dict[str, Any]:
-    """The resolved configuration of a run, as plain values.
+def load_config(run: Path, trust: Iterable[str] = ()) -> dict[str, Any]:
+    """The resolved configuration of a run, as plain values that may be built from.
+
+    Args:
+        run: its folder.
+        trust: modules of one's own whose parts it may name, as `carrl.config.check_targets` takes them.
+
+    Raises:
+        CarrlError: this is no run's folder, or its configuration is damaged, or names what is not trusted.
+    """
+    config = read_config(run)
+    try:
+        check_targets(config, trust)
+    except ConfigError as error:
+        raise ConfigError(f"run '{run}': {error}") from error
+    return config
+
+
+def read_config(run: Path) -> dict[str, Any]:
+    """The resolved configuration of a run to be looked at only: nothing may be built from it before `check_targets`.
 
     Raises:
         CheckpointError: this is no run's folder, or its configuration is damaged.

@@ -1,31 +1,27 @@
-"""A run's folder while the run is in progress, and the policy that a run has left in its own."""
+"""A run's folder while the run is in progress, and its tables, CSV files that grow row by row."""
 
+import csv
 import json
+import logging
+import os
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import torch
 from tensordict import TensorDictBase
 
-from carrl.algorithms.common.policy import GreedyPolicy
-from carrl.errors import CheckpointError
-from carrl.evaluation.results import Trial
-from carrl.evaluation.rollout import Policy
-from carrl.files import remove_left_overs
+from carrl.errors import CarrlError, CheckpointError
+from carrl.files import open_itself, remove_left_overs, write_whole
 from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter
-from carrl.task.world import World
-from carrl.train.build import build_network
-from carrl.train.checkpoint import load_checkpoint, save_checkpoint
-from carrl.train.divergence import REPORT as DIVERGENCE
+from carrl.train.checkpoint import save_checkpoint
 from carrl.train.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, checkpoint_path, write_text
-from carrl.train.moment import Moment
+from carrl.train.learner import DIVERGENCE
 from carrl.train.scalars import Scalars
-from carrl.train.settings import put_back, read_settings
-from carrl.train.table import Table, check_table
 
+_logger = logging.getLogger(__name__)
 EPISODE_FIGURES = ("episode", "frame", "env", "episode_return", "length", "gates", "laps", "ended")
 """What `metrics.csv` tells of an episode."""
 
@@ -66,7 +62,6 @@ class RunFolder:
         """Opens the tables."""
         self.path = path
         self._recorder, self._scalars = recorder, scalars
-        self._settings = read_settings(path)
         remove_left_overs(path, path / "checkpoints", (path / CONFIG).parent)
         tables = state["tables"] if state else {METRICS: "", EVALUATIONS: ""}
         self._metrics = Table(path / METRICS, tables[METRICS])
@@ -103,18 +98,6 @@ class RunFolder:
         """Whether the folder was deleted or moved."""
         return not self._metrics.is_in_place
 
-    def put_back(self) -> None:
-        """Makes the folder anew after it was deleted or moved, with all but the checkpoints; the log is closed then.
-
-        Raises:
-            CarrlError: the disk fails.
-        """
-        put_back(self._settings)
-        self._metrics.put_back()
-        self._evaluations.put_back()
-        if self._recorder is not None:
-            self._recorder.put_back()
-
     @property
     def takes_metrics(self) -> bool:
         """Whether `add_metrics` has any use for them."""
@@ -136,27 +119,25 @@ class RunFolder:
         if self._recorder is not None:
             self._recorder.flush()
 
-    def add_episode(self, episode: Episode, recent_return: float, moment: Moment) -> None:
-        """Logs an ended episode and adds a row to `metrics.csv`."""
+    def add_episode(self, episode: Episode, figures: Mapping[str, Any]) -> None:
+        """Logs an ended episode and adds a row to `metrics.csv`, with figures of the training beside the episode's."""
         if self._recorder is not None:
             self._recorder.write_episode(episode)
-        self._metrics.append(
-            {
-                **{name: getattr(episode, name) for name in EPISODE_FIGURES},
-                "mean_return_20": round(recent_return, 3),
-                "epsilon": round(moment.epsilon, 6),
-                "loss": moment.loss,
-                "updates": moment.updates,
-                "wall_time_s": round(moment.wall_time_s, 3),
-            }
-        )
-        figures = {"return": episode.episode_return, "mean_return_20": recent_return}
-        self._add_scalars("episode", episode.frame, figures | {"length": episode.length, "gates": episode.gates})
+        self._metrics.append({**{name: getattr(episode, name) for name in EPISODE_FIGURES}, **figures})
+        scalars = {"return": episode.episode_return, "mean_return_20": figures["mean_return_20"]}
+        self._add_scalars("episode", episode.frame, scalars | {"length": episode.length, "gates": episode.gates})
 
-    def add_evaluation(self, attempt: Trial, frames: int, episodes: int) -> None:
+    def add_learnt(self, figures: Mapping[str, Any]) -> None:
+        """Adds a row to `metrics.csv` of a run without episodes."""
+        self._metrics.append(
+            {name: round(value, 6) if isinstance(value, float) else value for name, value in figures.items()}
+        )
+        self._add_scalars("training", figures["updates"], figures)
+
+    def add_evaluation(self, measures: Mapping[str, Any], frames: int, episodes: int) -> None:
         """Adds a row to `evaluations.csv`."""
-        self._evaluations.append({"frames": frames, "episodes": episodes, **attempt.measures()})
-        self._add_scalars("evaluation", frames, attempt.measures())
+        self._evaluations.append({"frames": frames, "episodes": episodes, **measures})
+        self._add_scalars("evaluation", frames, measures)
 
     def _add_scalars(self, group: str, step: int, values: Mapping[str, Any]) -> None:
         if self._scalars is not None:
@@ -175,30 +156,113 @@ class RunFolder:
         write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
-def load_greedy_policy(run: Path, checkpoint: str, config: dict[str, Any], world: World) -> Policy:
-    """The greedy policy of a run's `best` or `last` network.
+def check_table(path: Path, text: str) -> int:
+    """How many lines of a table's text are in its file: all of them, or the first ones only.
 
     Raises:
-        CheckpointError: the checkpoint is missing, damaged, or of another network than the configuration's.
+        CheckpointError: the file says otherwise, or is none.
+        OSError: it cannot be read.
     """
-    path = checkpoint_path(run, checkpoint)
-    state = load_checkpoint(path).get("network")
-    network = build_network(config, world)
-    if not _fits(state, network.state_dict()):
-        raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")
-    network.load_state_dict(state)
-    return GreedyPolicy([network]).actions
+    content = text.encode()
+    found = _beginning(path, len(content))
+    if not content.startswith(found):
+        pairs = zip(content.splitlines(), found.splitlines(), strict=False)
+        line = next(number for number, (own, other) in enumerate(pairs, start=1) if own != other)
+        raise CheckpointError(
+            f"'{path}': line {line} is not as the run wrote it; put it back, or move the file away, and it is written "
+            "anew as it was"
+        )
+    return found.count(b"\n")
 
 
-def _fits(state: object, wanted: Mapping[str, torch.Tensor]) -> bool:
-    """Whether these are the network's parameters, by name, type and shape, all of them finite numbers."""
-    return (
-        isinstance(state, dict)
-        and state.keys() == wanted.keys()
-        and all(isinstance(state[name], torch.Tensor) and _alike(state[name], own) for name, own in wanted.items())
-    )
+def _beginning(path: Path, size: int) -> bytes:
+    """The first bytes of a file; none where there is no file."""
+    try:
+        with open(path, "rb", opener=open_itself) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise CheckpointError(f"'{path}' is not a regular file; move it away")
+            return file.read(size)
+    except FileNotFoundError:
+        return b""
 
 
-def _alike(found: torch.Tensor, wanted: torch.Tensor) -> bool:
-    kinds = (found.layout, found.dtype, found.device, found.shape)
-    return kinds == (wanted.layout, wanted.dtype, wanted.device, wanted.shape) and bool(found.isfinite().all())
+class Table:
+    """A CSV file being written; its header is the first row's keys.
+
+    Args:
+        path: of the file; a link in its place is not followed.
+        text: all of it as it was, to go on with it from there. What follows in the file is cut off; what is missing at
+            its end, or all of it, is written anew.
+
+    Raises:
+        CheckpointError: the file says otherwise than the text.
+        CarrlError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, text: str = "") -> None:
+        """Opens the file."""
+        self._path = path
+        self._writer: csv.DictWriter[str] | None = None
+        content = text.encode()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            missing = content.count(b"\n") - check_table(path, text)
+            if missing:
+                _logger.warning("'%s' lacked %d of its lines, which the checkpoint puts back.", path, missing)
+            write_whole(path, content)
+            self._file = open(path, "a+", newline="", encoding="utf-8", buffering=1, opener=open_itself)  # noqa: SIM115
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    @property
+    def is_in_place(self) -> bool:
+        """Whether the path leads to the file that is written."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
+        except OSError:
+            return False
+
+    @property
+    def text(self) -> str:
+        """All that is written so far.
+
+        Raises:
+            CarrlError: the disk refuses it.
+        """
+        return self._content.decode()
+
+    @property
+    def _content(self) -> bytes:
+        try:
+            return os.pread(self._file.fileno(), os.fstat(self._file.fileno()).st_size, 0)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Adds a row.
+
+        Raises:
+            CarrlError: the disk refuses it.
+        """
+        try:
+            if self._writer is None:
+                self._writer = csv.DictWriter(self._file, list(row))
+                if self._file.tell() == 0:
+                    self._writer.writeheader()
+            self._writer.writerow(row)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def close(self) -> None:
+        """Completes the file.
+
+        Raises:
+            CarrlError: the disk refuses it.
+        """
+        try:
+            self._file.close()
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> CarrlError:
+        return CarrlError(f"'{self._path}' cannot be written: {error.strerror}; choose another place")

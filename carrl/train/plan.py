@@ -79,11 +79,31 @@ def _expand(entry: int | str) -> list[int]:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """What a replicate's run ends with, each of which does; None is no limit.
+
+    Attributes:
+        frames: env steps.
+        episodes: ended ones.
+        updates: of its networks.
+    """
+
+    frames: int | None = None
+    episodes: int | None = None
+    updates: int | None = None
+
+    def share_done(self, frames: int, episodes: int, updates: int) -> float:
+        """How much of the run is done, by the limit that is nearest; 1 or more at its end."""
+        pairs = ((frames, self.frames), (episodes, self.episodes), (updates, self.updates))
+        return max(done / limit for done, limit in pairs if limit is not None)
+
+
+@dataclass(frozen=True)
 class EvaluationPlan:
     """How often the greedy policy is tried out.
 
     Attributes:
-        interval: env steps between two greedy drives on the training track.
+        interval: env steps between two evaluations, greedy drives on the validation circuits or the one track.
     """
 
     interval: int

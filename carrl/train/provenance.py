@@ -2,20 +2,19 @@
 
 import json
 import subprocess
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import numpy as np
-import torch
-
 import carrl
 from carrl.env.track_env import TrackEnv
-from carrl.log.scene import Scene
-from carrl.sim.vehicle import VehicleModel
-from carrl.task.action import ActionMap
+from carrl.log.scene import ObservationPart, Scene
+from carrl.log.schema import Column, Schema
+from carrl.sim.vehicle import POSE
 
 PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "mcap", "protobuf", "numpy", "numba")
 _GIT_TIMEOUT_S = 5.0
+_UNITS = "m, m, rad counter-clockwise from +x first"
 
 
 def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
@@ -36,21 +35,57 @@ def scene_of(env: TrackEnv) -> Scene:
     vehicle, action = env.simulator.vehicle, env.task.action
     return Scene(
         action_names=tuple(action.names),
+        control_names=tuple(action.control_names),
+        observation=tuple(ObservationPart(*part) for part in env.task.observation_parts),
         reward_terms=env.task.reward.term_names,
         sensor_angles=env.sensor_angles.double().cpu().numpy(),
         sensor_range=env.sensor_range,
         time_step=vehicle.time_step,
         body_radius=vehicle.body_radius,
-        manoeuvres=_manoeuvres(vehicle, action),
         tracks=(),
     )
 
 
-def _manoeuvres(vehicle: VehicleModel, action: ActionMap) -> np.ndarray:
-    """Where a step of each action leads: distance m, its bearing rad, change of heading rad, [A, 3]."""
-    start = torch.zeros(action.spec.n, len(vehicle.state_names), dtype=torch.float64)
-    x, y, yaw = vehicle.step(start, action.controls(torch.arange(len(start)))).double().numpy()[:, :3].T
-    return np.stack([np.hypot(x, y), np.arctan2(y, x), yaw], axis=-1)
+def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
+    """The columns of a log: those of the environment, and those of the algorithm."""
+    parts = " then ".join(f"{part.width} of {part.name}" for part in env.task.observation_parts)
+    action, names = env.task.action, env.state_names
+    state_key, width = "pose" if names == POSE else "state", env.observation_spec["observation"].shape[-1]
+    terms = env.task.reward.term_names
+    counts = "gates of the episode passed"
+    if action.names:
+        chosen = ", ".join(f"{number} {name}" for number, name in enumerate(action.names))
+        actions = Column("action", "action", "int64", (), chosen, narrow=True)
+    else:
+        controls = tuple(action.control_names)
+        actions = Column("action", "action", "float32", action.spec.shape, "the controls, each in -1..1", controls)
+    task = (
+        Column("observation", "observation", "float32", (width,), f"before the action: {parts}"),
+        actions,
+        Column("reward", ("next", "reward"), "float32", (1,), "sum of the reward terms"),
+        Column("reward_terms", ("next", "reward_terms"), "float32", (len(terms),), "what each term paid", terms),
+        Column("next_observation", ("next", "observation"), "float32", (width,), f"after the action: {parts}"),
+        Column("terminated", ("next", "terminated"), "bool", (1,), "the episode ended here, in a terminal state"),
+        Column("truncated", ("next", "truncated"), "bool", (1,), "the episode was cut here, in no terminal state"),
+        Column("episode", "episode", "int64", (), "number of the episode within the run"),
+        Column("step", "step", "int64", (), "index of the transition within its episode, from 0", narrow=True),
+        Column("car", "car", "int64", (), "index of the car among those simulated side by side, from 0", narrow=True),
+        Column("track", "track", "int64", (), "index of the car's track among the attached ones", narrow=True),
+        Column("state", state_key, "float32", (len(names),), f"before the action: {_UNITS}", names),
+        Column(
+            "next_state",
+            ("next", state_key),
+            "float32",
+            (len(names),),
+            f"after the action: {_UNITS}",
+            names,
+        ),
+        Column("next_gate", "next_gate", "int64", (), "index of the gate to pass next, before the action", narrow=True),
+        Column("gates_passed", "gates_passed", "int64", (), f"{counts} before the action", narrow=True),
+        Column("next_gates_passed", ("next", "gates_passed"), "int64", (), f"{counts} after the action", narrow=True),
+        Column("time_ns", "time_ns", "int64", (), "simulated time before the action, since the start of the run, ns"),
+    )
+    return Schema(task, tuple(algorithm))
 
 
 def git_commit() -> str | None:

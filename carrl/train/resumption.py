@@ -10,8 +10,9 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
+from carrl.config import is_whole_number
 from carrl.errors import CheckpointError, ConfigError, shown
-from carrl.train.divergence import REPORT as DIVERGENCE
+from carrl.train.checkpoint import PREVIOUS, STATE, load_state
 from carrl.train.files import (
     CONFIG,
     EVALUATIONS,
@@ -22,8 +23,7 @@ from carrl.train.files import (
     load_config,
     seed_folders,
 )
-from carrl.train.progress import Progress, progress_of
-from carrl.train.state_file import PREVIOUS, STATE, load_state
+from carrl.train.learner import DIVERGENCE
 
 CHANGEABLE = (
     "trainer.frames",
@@ -76,14 +76,57 @@ class Resumption:
     remarks: tuple[str, ...]
 
 
-def resume(run: Path, overrides: Sequence[str]) -> Resumption:
+@dataclass(frozen=True)
+class Progress:
+    """What every agent of a run has done, and its limits, each of which ends it.
+
+    Attributes:
+        done: by the key of each limit, for one agent after the other.
+        limits: by key, such as `trainer.frames`.
+        active: indices of the agents that had not ended.
+        learning_rate_is_zero: whether it has fallen to 0 for good.
+    """
+
+    done: tuple[Mapping[str, int], ...]
+    limits: Mapping[str, int]
+    active: tuple[int, ...]
+    learning_rate_is_zero: bool
+
+    @property
+    def keys(self) -> str:
+        """The keys of the limits."""
+        return " or ".join(self.limits)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether every agent has reached one of the limits."""
+        return all(map(self._has_reached_a_limit, range(len(self.done))))
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the agents that had ended are still at their end."""
+        return all(self._has_reached_a_limit(index) for index in range(len(self.done)) if index not in self.active)
+
+    def describe(self) -> str:
+        """How far it is, or the first of several agents."""
+        others = f" (the first of {len(self.done)} agents)" if len(self.done) > 1 else ""
+        words = (f"{self.done[0][key]} {key.split('.')[1]} (limit {limit})" for key, limit in self.limits.items())
+        return f"it has {' and '.join(words)}{others}"
+
+    def _has_reached_a_limit(self, index: int) -> bool:
+        return any(self.done[index][key] >= limit for key, limit in self.limits.items())
+
+
+def resume(run: Path, overrides: Sequence[str], trust: Sequence[str] = ()) -> Resumption:
     """The run with these overrides of its configuration, such as `trainer.frames=500000`.
+
+    Its configuration may name parts of the trusted modules.
 
     Raises:
         CarrlError: this is no run's folder, or one that cannot be resumed, or an override is none, not allowed or
             without effect.
     """
-    config = load_config(run)
+    config = load_config(run, trust)
     if not _has_state(run):
         _check_is_whole_run(run, config)
     changes = _parsed(run, overrides)
@@ -271,3 +314,21 @@ def _flat(node: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     for key, value in node.items():
         values |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
     return values
+
+
+def progress_of(config: Mapping[str, Any], state: Mapping[str, Any]) -> Progress | None:
+    """How far the run with this state is; None where its limits are no numbers, as is found out later."""
+    updates = state["learner"]["updates"]
+    done: list[Mapping[str, int]] = [
+        {"trainer.frames": run["status"]["frames"], "trainer.episodes": len(run["episode_returns"])}
+        for run in state["runs"]
+    ]
+    if config.get("data"):
+        done = [{"data.updates": updates}]
+    values = _flat(config, "")
+    limits: dict[str, Any] = {key: values.get(key) for key in done[0]}
+    share, decayed_at = values.get("learning_rate.final_share"), values.get("learning_rate.updates")
+    if not all(is_whole_number(limit) for limit in limits.values()):
+        return None
+    is_zero = share == 0 and is_whole_number(decayed_at) and updates >= decayed_at
+    return Progress(tuple(done), limits, tuple(state["active"]), is_zero)

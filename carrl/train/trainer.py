@@ -1,234 +1,292 @@
-"""The training loop: collect, store, learn, record, evaluate.
+"""The training loop: collect, learn, record, evaluate.
 
-Shapes: `A` agents, `N` cars of each, `T` steps of each car in a batch, `F` = N * T transitions of each agent in it.
+Shapes: `A` replicates.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import torch
-from tensordict import TensorDictBase
-
-from carrl.data.collector import cars_of, put_cars_back
-from carrl.data.replay_buffer import KEYS, contents_of, put_back
-from carrl.errors import ConfigError
-from carrl.log.messages import Metrics
-from carrl.log.schema import COLUMNS
-from carrl.train.agent_run import AgentRun
+import carrl
+from carrl.algorithms.algorithm import Algorithm
+from carrl.data.source import Source
+from carrl.errors import CarrlError, CheckpointError, ConfigError
 from carrl.train.build import Pipeline
-from carrl.train.episodes import EpisodeTracker
+from carrl.train.callbacks import Callback, Evaluator, LoggedProgress, Recorder
+from carrl.train.checkpoint import StateFile, check_fits
 from carrl.train.folder import RunFolder
-from carrl.train.metrics import mean_action_value, td_error
-from carrl.train.moment import Moment
-from carrl.train.state_file import StateFile
-from carrl.train.training import Training
-
-LOGGED_TOGETHER = 2048
-"""Env steps of each agent after which they are logged."""
-LOGGED_WITHIN_S = 1.0
-"""Wall time after which they are logged, if they are fewer."""
-METRICS_INTERVAL_S = 0.5
-"""Wall time for each agent after which learning is measured with the next transitions logged; one takes about 2 ms."""
-LOGGED_KEYS = list(dict.fromkeys([column.key for column in COLUMNS] + list(KEYS)))
-"""The log's columns, and what the loss reads besides."""
+from carrl.train.learner import Learner, divergence_sentence
+from carrl.train.replicate_run import ReplicateRun, TrainingStatus
 
 
-class Trainer(Training):
-    """Trains agents side by side, each until it reaches a limit or `stop` is called.
+class Trainer:
+    """Trains replicates side by side, each until it reaches a limit or `stop` is called.
 
-    The order of a round: every car takes its steps; the transitions are stored and logged; then there is one update
-    of each agent for each of its env steps, once the buffer holds a batch, and the target networks follow at env steps
-    C, 2C, 3C. An agent whose run is over drives on unrecorded until the last one's is.
+    The order of a round: the source brings transitions, which are stored and logged; then there is one update of each
+    replicate for each of its env steps, once the buffer holds a batch, and target networks follow in their time. Where
+    transitions come from logs, a round is so many updates. A replicate whose run is over goes on unrecorded until the
+    last one's is.
 
     Args:
-        pipeline: of a run that starts at frame 0.
-        folders: one for each agent.
+        pipeline: of a run that has done nothing yet.
+        folders: one for each replicate.
         state_file: where the state is kept between rounds; None to keep none.
+        callbacks: what to do besides recording and evaluating.
+
+    Attributes:
+        runs: of the replicates.
+        active: those that are not over, by index.
     """
 
-    def __init__(self, pipeline: Pipeline, folders: Sequence[RunFolder], state_file: StateFile | None = None) -> None:
-        super().__init__(pipeline, folders, state_file)
-        self._pipeline = pipeline
-        agents = pipeline.agents
-        cars = pipeline.env.batch_size[0] // len(agents)
-        time_step = pipeline.env.simulator.vehicle.time_step
-        gates = [track.gate_count for track in pipeline.env.tracks]
-        self._tracker = EpisodeTracker(len(agents), cars, gates, time_step)
-        self._validation = pipeline.world.simulator(pipeline.world.circuits.validation, pipeline.env.device)
-        self._evaluated_at = -1
-        self._unlogged: list[TensorDictBase] = []
-        self._logged, self._logged_at = 0, self._began
-        self._measured, self._measured_at = 0, self._began
-        self._active = dict(enumerate(self.runs))
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        folders: Sequence[RunFolder],
+        state_file: StateFile | None = None,
+        callbacks: Sequence[Callback] = (),
+    ) -> None:
+        self.pipeline = pipeline
+        algorithm = pipeline.algorithm
+        parts = zip(algorithm.seeds, algorithm.networks, folders, strict=True)
+        self.runs = [ReplicateRun(seed, network, folder) for seed, network, folder in parts]
+        self.active = dict(enumerate(self.runs))
+        self._began = time.monotonic()
+        self._start_up_s = self._began - carrl._IMPORTED_AT
+        self._stopping = False
+        self._state_file = state_file
+        self._evaluator = Evaluator(pipeline.evaluation_interval)
+        self._callbacks = [Recorder(), LoggedProgress(), self._evaluator, *callbacks]
+
+    @property
+    def algorithm(self) -> Algorithm:
+        """What learns."""
+        return self.pipeline.algorithm
+
+    @property
+    def source(self) -> Source:
+        """Where transitions come from."""
+        return self.pipeline.source
+
+    @property
+    def learner(self) -> Learner:
+        """What makes the updates."""
+        return self.pipeline.learner
 
     @property
     def frames(self) -> int:
-        """Env steps done by each agent that is not over yet."""
-        return self._tracker.frames
+        """Env steps done by each replicate that is not over yet; 0 where transitions come from logs."""
+        return self.source.frames
 
-    def state_dict(self) -> dict[str, Any]:
-        """All that moves; transitions not yet logged are logged first."""
-        self._log()
-        pipeline = self._pipeline
-        return super().state_dict() | {
-            "tracker": self._tracker.state_dict(),
-            "cars": cars_of(pipeline.collector),
-            "streams": pipeline.env.task.streams.state_dict(),
-            "exploration": pipeline.exploration.state_dict(),
-            "replay_buffer": contents_of(pipeline.replay_buffer),
-            **({"returns": pipeline.returns.state_dict()} if pipeline.returns else {}),
-            "evaluated_at": self._evaluated_at,
-            "active": list(self._active),
-        }
+    @property
+    def updates(self) -> int:
+        """Updates of each replicate so far."""
+        return self.learner.updates
 
-    def _load(self, state: dict[str, Any]) -> None:
-        pipeline = self._pipeline
-        put_back(
-            pipeline.replay_buffer, state["replay_buffer"], pipeline.world.action.spec
-        )  # before the sampler, which has priorities of its own
-        super()._load(state)
-        if pipeline.returns:
-            pipeline.returns.load_state_dict(state["returns"])
-        self._tracker.load_state_dict(state["tracker"])
-        put_cars_back(pipeline.collector, state["cars"])
-        pipeline.env.task.streams.load_state_dict(state["streams"])
-        pipeline.exploration.load_state_dict(state["exploration"])
-        self._evaluated_at = state["evaluated_at"]
-        self._logged = self._measured = self.frames
-        self._active = {index: self.runs[index] for index in state["active"]}
-        for run in self.runs:
-            if run not in self._active.values() and not self._has_reached_a_limit(run):
-                raise ConfigError(
-                    f"seed {run.agent.seed} ended at frame {run.moment.frames}, before the others, and what it did "
-                    "since is not recorded, so it cannot go on; leave trainer.episodes as it was"
-                )
+    @property
+    def share_done(self) -> float:
+        """How much of the training is done; 1 or more at its end."""
+        episodes = min(run.episodes for run in self.runs)  # of the run that ends last
+        return self.pipeline.limits.share_done(self.frames, episodes, self.updates)
+
+    @property
+    def wall_time_s(self) -> float:
+        """Seconds since the training was made, and of the processes that were broken off before, up to their states."""
+        return time.monotonic() - self._began
+
+    @property
+    def first_update_s(self) -> float | None:
+        """Seconds from the training's making to its first update, compilation included; None before that."""
+        first = self.learner.first_update_at
+        return None if first is None else first - self._began
+
+    @property
+    def stopping(self) -> bool:
+        """Whether all runs end after the present round."""
+        return self._stopping
+
+    def stop(self) -> None:
+        """Ends all runs after the present round, with everything saved."""
+        self._stopping = True
+
+    def interrupt(self) -> None:
+        """The same from a signal's handler, which does not wait for a compilation that is going on.
+
+        Raises:
+            KeyboardInterrupt: one is; what is saved is from before it, and nothing was learnt since.
+        """
+        self.stop()
+        self.learner.interrupt()
+
+    def status(self, loss: float) -> TrainingStatus:
+        """Where the training of a replicate with this loss stands."""
+        return TrainingStatus(self.frames, self.updates, loss, self.wall_time_s, self.algorithm.figures())
+
+    def summaries(self) -> list[dict[str, Any]]:
+        """The run of each replicate in a few figures, for `summary.json`; all times count from the trainer's making."""
+        transitions = self.source.transitions
+        return [
+            {
+                "seed": run.seed,
+                "finished": not self.stopping,
+                "track": self.pipeline.world.circuits.name,
+                **({} if transitions is None else {"transitions": transitions}),
+                **run.summary(),
+                "start_up_s": round(self._start_up_s, 3),  # of the process, but for its first instant
+                "first_update_s": None if self.first_update_s is None else round(self.first_update_s, 3),
+            }
+            for run in self.runs
+        ]
 
     def run(self, on_round: Callable[["Trainer"], None]) -> None:
         """Trains; `on_round` is called after every round of collecting and learning.
 
         Raises:
-            CarrlError: a log or a checkpoint cannot be written, or a loss is not a number.
+            CarrlError: a log, a table or a checkpoint cannot be written, or a loss is not a number.
         """
-        batches = iter(self._pipeline.collector)
         try:
-            if self.frames == 0:
+            if self.frames == self.updates == 0:
                 self.save()
             self._end_runs()
-            while self._active:
-                self._learn_from(next(batches))
+            while self.active:
+                self._make_round()
                 on_round(self)
-                self._end_round()
+                self._check_folders()
+                if self._state_file is not None and self._state_file.is_due:
+                    self.save()
                 self._end_runs()
         finally:
-            self._log()
-            self._pipeline.collector.shutdown()
+            self._flush()
+            self.source.close()
 
-    def _learn_from(self, batch: TensorDictBase) -> None:
-        frames_before = self.frames
-        ended = self._tracker.follow(batch)
-        # [A * N, T] to [F, A], in the order of time: an item of the buffer is one transition of each agent.
-        by_time = batch.view(len(self.runs), -1, batch.shape[1]).permute(2, 1, 0)
-        by_agent = by_time.flatten(0, 1)
-        self._keep(by_time.select(*KEYS))
-        self._record(by_agent)
-        self._pipeline.learner.learn(len(by_agent))
-        self._pipeline.exploration.step(len(by_agent))
-        self._check_losses(self._active, frame=self.frames)
-        losses = self._pipeline.learner.losses.tolist()
-        for index, run in self._active.items():
-            run.add_episodes(ended[index], self._moment(losses[index]))
-        interval = self._pipeline.evaluation.interval
-        if self.frames // interval > frames_before // interval:
-            self._evaluate()
+    def _make_round(self) -> None:
+        batch = self.source.collect(self.updates)
+        for callback in self._callbacks:
+            callback.collected(self, batch)
+        self.learner.learn(batch.steps)
+        self._check_losses()
+        losses = self.learner.losses.tolist()
+        for index, run in self.active.items():
+            run.add_episodes(batch.episodes[index], self.status(losses[index]))
+        for callback in self._callbacks:
+            callback.learnt(self, batch)
 
-    def _keep(self, transitions: TensorDictBase) -> None:
-        """Puts transitions [T, N, A], or what returns over several steps make of them, into the replay buffer."""
-        returns = self._pipeline.returns
-        kept = transitions if returns is None else returns(transitions)
-        if len(kept):
-            self._pipeline.replay_buffer.extend(kept.flatten(0, 1))
+    def _check_losses(self) -> None:
+        """Ends the training where the loss of a replicate that is not over was not finite."""
+        for index, run in self.active.items():
+            found = self.learner.divergence_report(index, run.network)
+            if found is not None:
+                report = {"seed": run.seed, **({"frame": self.frames} if self.frames else {}), **found}
+                run.folder.write_divergence(report)
+                raise CarrlError(divergence_sentence(report))
 
-    def _record(self, by_agent: TensorDictBase) -> None:
-        """Keeps transitions [F, A] to be logged together, and logs them when that is due."""
-        self._unlogged.append(by_agent.select(*LOGGED_KEYS).clone())
-        if self.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
-            self._log()
-        if self._learns_for_the_first_time():
-            self._log()
-            for run in self._active.values():
-                run.folder.flush()
-
-    def _learns_for_the_first_time(self) -> bool:
-        """Whether the next call of `learn` makes the first update, and compiles it, which can take half a minute."""
-        buffer = self._pipeline.replay_buffer
-        return self._pipeline.learner.updates == 0 and len(buffer) >= buffer.batch_size
-
-    def _log(self) -> None:
-        """Logs the transitions since the last call, many at once, which costs little more than a few."""
-        if not self._unlogged:
-            return
-        transitions, now = torch.cat(self._unlogged), time.monotonic()
-        self._unlogged, self._logged, self._logged_at = [], self.frames, now  # nothing is logged again after a failure
-        for index, run in self._active.items():
-            run.folder.record(transitions[:, index])
-        if now >= self._measured_at + METRICS_INTERVAL_S * len(self.runs):
-            self._measure(transitions, now)
-
-    def _measure(self, transitions: TensorDictBase, now: float) -> None:
-        """Logs how every agent's learning goes, measured on these transitions [F, A]."""
-        learner = self._pipeline.learner
-        rate = (self.frames - self._measured) / (now - self._measured_at)
-        self._measured, self._measured_at = self.frames, now
-        losses = learner.losses.tolist()
-        for index, run in self._active.items():
-            if run.folder.takes_metrics:
-                metrics = Metrics(
-                    frame=self.frames,
-                    updates=learner.updates,
-                    loss=losses[index],
-                    td_error=td_error(run.agent, transitions[:, index]),
-                    action_value=mean_action_value(transitions[:, index]),
-                    epsilon=self._pipeline.exploration.epsilon,
-                    frames_per_second=rate,
-                )
-                run.folder.add_metrics(metrics)
-
-    def _moment(self, loss: float) -> Moment:
-        pipeline = self._pipeline
-        return Moment(self.frames, pipeline.learner.updates, pipeline.exploration.epsilon, loss, self.wall_time_s)
-
-    def _evaluate(self) -> None:
-        self._evaluated_at = self.frames
-        trials = self._drive(self._validation)
-        for index, run in self._active.items():
-            run.add_evaluation(trials[index], self._moment(run.moment.loss))
-
-    def _has_reached_a_limit(self, run: AgentRun) -> bool:
-        plan = self._pipeline.plan
-        return run.episodes >= plan.episodes or run.moment.frames >= plan.frames
+    def _has_reached_a_limit(self, run: ReplicateRun) -> bool:
+        return self.pipeline.limits.share_done(run.status.frames, run.episodes, run.status.updates) >= 1
 
     def _end_runs(self) -> None:
-        """Lets go of the agents that have reached a limit, evaluated as they are now, or of all where they are to stop.
+        """Lets go of the replicates that have reached a limit, evaluated as they are, or of all if they are to stop.
 
         Before the last one goes the state is saved, since a longer run would not be evaluated here. One that is to stop
         is not, as that could take seconds.
         """
         if self._stopping:
             self.save()
-            for run in self._active.values():
-                run.keep_network("last", run.moment)
-            self._let_go(list(self._active))
+            for run in self.active.values():
+                run.keep_network("last")
+            self._let_go(list(self.active))
             return
-        over = [index for index, run in self._active.items() if self._has_reached_a_limit(run)]
-        if len(over) == len(self._active):
+        over = [index for index, run in self.active.items() if self._has_reached_a_limit(run)]
+        if len(over) == len(self.active):
             self.save()
-        if over and self._evaluated_at != self.frames:
-            self._evaluate()
+        if over:
+            for callback in self._callbacks:
+                callback.ended(self, over)
         self._let_go(over)
 
     def _let_go(self, over: Sequence[int]) -> None:
         if over:
-            self._log()
+            self._flush()
         for index in over:
-            del self._active[index]
+            del self.active[index]
+
+    def _flush(self) -> None:
+        for callback in self._callbacks:
+            callback.flush(self)
+
+    # State
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that moves, as tensors and plain values; the logs are on the disk up to here.
+
+        Raises:
+            CarrlError: the disk fails.
+        """
+        self._flush()
+        return {"folders": [run.folder.state_dict() for run in self.runs], **self._own_state()}
+
+    def _own_state(self) -> dict[str, Any]:
+        return {
+            **self.source.state_dict(),
+            "algorithm": self.algorithm.state_dict(),
+            "learner": self.learner.state_dict(),
+            "runs": [run.state_dict() for run in self.runs],
+            "callbacks": [callback.state_dict() for callback in self._callbacks],
+            "active": list(self.active),
+            "wall_time_s": self.wall_time_s,
+            "first_update_s": self.first_update_s,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Goes on from there; call it before `run`. The folders must have been opened with their parts of the state.
+
+        Raises:
+            CheckpointError: the state is that of another run.
+            ConfigError: it cannot go on with its configuration.
+        """
+        own = self._own_state()
+        try:
+            check_fits({key: state[key] for key in own if key in state}, own)
+            self._load(state)
+        except (ValueError, RuntimeError) as error:  # values of the right types that this run cannot have
+            raise CheckpointError(f"the state does not fit the run's configuration: {error}") from error
+
+    def _load(self, state: Mapping[str, Any]) -> None:
+        self.source.load_state_dict(state)  # before the sampler, which has priorities of its own
+        self.algorithm.load_state_dict(state["algorithm"])
+        self.learner.load_state_dict(state["learner"])
+        for run, own in zip(self.runs, state["runs"], strict=True):
+            run.load_state_dict(own)
+        for callback, own in zip(self._callbacks, state["callbacks"], strict=True):
+            callback.load_state_dict(own, self)
+        self._began = time.monotonic() - state["wall_time_s"]
+        if state["first_update_s"] is not None:
+            self.learner.first_update_at = self._began + state["first_update_s"]
+        self.active = {index: run for index, run in enumerate(self.runs) if index in state["active"]}
+        for run in self.runs:
+            if run not in self.active.values() and not self._has_reached_a_limit(run):
+                raise ConfigError(
+                    f"seed {run.seed} ended at frame {run.status.frames}, before the others, and what it did since is "
+                    "not recorded, so it cannot go on; leave trainer.episodes as it was"
+                )
+
+    def save(self) -> None:
+        """Keeps the state, if it is to be kept at all.
+
+        Raises:
+            CarrlError: the disk fails, or a folder was deleted or moved.
+        """
+        if self._state_file is not None:
+            self._check_folders()
+            try:
+                self._state_file.save(self.state_dict())
+            except CheckpointError:
+                self._check_folders()  # it may be gone since
+                raise
+
+    def _check_folders(self) -> None:
+        """Ends the training where a folder was deleted or moved, since what it writes would be lost."""
+        if self._state_file is not None and any(run.folder.is_gone for run in self.runs):
+            path = self._state_file.run
+            raise CarrlError(
+                f"the run's folder '{path}' was deleted or moved while it trained; if it was moved, go on with it at "
+                "its new place with carrl train resume=, else train anew"
+            )

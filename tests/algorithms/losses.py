@@ -3,8 +3,8 @@
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.modules import QValueActor
 
+from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.common.target_updater import make_hard_update
 
 TRAINED, TARGET = (1.0, 4.0, 2.0), (3.0, 5.0, 7.0)
@@ -14,7 +14,7 @@ def linear_network(weights=TRAINED):
     """Q-values that are the weights times a single input."""
     layer = nn.Linear(1, 3, bias=False)
     layer.weight.data = torch.tensor(weights)[:, None]
-    return QValueActor(layer, in_keys=["observation"], action_space="categorical")
+    return QNetwork(layer)
 
 
 def transitions(count=1, action=0, reward=2.0):

@@ -6,14 +6,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.modules import DistributionalQValueActor, QValueActor
+from torchrl.modules import DistributionalQValueActor
 from torchrl.objectives import DistributionalDQNLoss
 
-from carrl.algorithms.common.network import make_q_network
-from carrl.algorithms.common.policy import GreedyPolicy
+from carrl.algorithms.common.network import QNetwork, make_q_network
 from carrl.algorithms.common.target_updater import make_hard_update
 from carrl.algorithms.dqn.distributional_loss import _projected, make_distributional_loss
 from carrl.algorithms.dqn.loss import make_cql_loss, make_dqn_loss
+from carrl.algorithms.dqn.policy import GreedyPolicy
 from carrl.algorithms.dqn.return_distribution import ReturnDistribution, make_distributional_network
 from carrl.errors import ConfigError
 from tests.algorithms.test_conservative_loss import random_transitions
@@ -46,9 +46,7 @@ def test_returns_beyond_the_support_count_as_its_ends():
 
 def test_values_are_the_expected_returns():
     logits = torch.tensor([[1.0, 1.0, 1.0, -99.0, -99.0, 0.0, 0.0, -99.0, 0.0]])
-    network = QValueActor(
-        ReturnDistribution(nn.Identity(), SUPPORT), in_keys=["observation"], action_space="categorical"
-    )
+    network = QNetwork(ReturnDistribution(nn.Identity(), SUPPORT))
     after = network(TensorDict({"observation": logits}, [1]))
     assert after["action_value"][0].tolist() == pytest.approx([0.0, 1.0, 0.0])
     assert after["action"].tolist() == [1]
@@ -57,7 +55,7 @@ def test_values_are_the_expected_returns():
 def test_the_policy_acts_by_them():
     networks = [make_network(seed) for seed in range(2)]
     observation = torch.rand(6, 7)
-    expected = torch.cat([each.module[0].module(observation[3 * i : 3 * i + 3]) for i, each in enumerate(networks)])
+    expected = torch.cat([each.layers(observation[3 * i : 3 * i + 3]) for i, each in enumerate(networks)])
     torch.testing.assert_close(GreedyPolicy(networks).action_values(observation), expected)
 
 
@@ -84,7 +82,7 @@ def with_other_target(loss):
 @pytest.mark.parametrize("steps", [None, 3])
 def test_torchrls_own_loss_gives_the_same(steps):
     network = make_network()
-    distribution = network.module[0].module
+    distribution = network.layers
     ours = with_other_target(make_distributional_loss(0.9, True, network=network))
     actor = DistributionalQValueActor(
         Logits(distribution), distribution.support, in_keys=["observation"], action_space="categorical"
@@ -118,7 +116,7 @@ def test_it_learns_the_returns_of_a_probe_with_known_values():
         optimizer.zero_grad()
         loss(batch)["loss"].backward()
         optimizer.step()
-    chances = network.module[0].module.log_probabilities(torch.ones(1, 7))[0].exp()
+    chances = network.layers.log_probabilities(torch.ones(1, 7))[0].exp()
     torch.testing.assert_close(
         chances.detach(), torch.tensor([[0.0, 0, 1], [0.5, 0, 0.5], [0.5, 0, 0.5]]), atol=0.03, rtol=0
     )

@@ -9,13 +9,13 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from carrl.algorithms.common.network import make_dueling_network, make_noisy_network, make_q_network
-from carrl.algorithms.common.policy import GreedyPolicy
 from carrl.algorithms.common.target_updater import make_hard_update
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import make_dqn_loss, make_dueling_loss
+from carrl.algorithms.dqn.policy import GreedyPolicy
 from carrl.algorithms.dqn.return_distribution import make_distributional_network
 from carrl.errors import ConfigError
-from tests.algorithms.test_conservative_loss import random_transitions
+from tests.algorithms.losses import random_transitions
 
 SIZES = {"observation_size": 7, "action_count": 3}
 
@@ -73,7 +73,7 @@ def test_the_dueling_loss_takes_a_dueling_network_that_reads_powers_and_no_other
 
 
 def test_dueling_values_are_the_state_value_and_advantages_about_their_mean():
-    layers = dueling().module[0].module
+    layers = dueling().layers
     observation = torch.rand(5, 7)
     shared = layers.features(observation)
     advantage = layers.advantage(shared)
@@ -102,7 +102,7 @@ def test_every_agent_acts_as_its_own_network_would(make):
         with_noise(network, seed)
     observation = torch.rand(12, 7)
     with set_exploration_type(ExplorationType.RANDOM):
-        expected = [each.module[0].module(observation[4 * i : 4 * i + 4]) for i, each in enumerate(networks)]
+        expected = [each.layers(observation[4 * i : 4 * i + 4]) for i, each in enumerate(networks)]
         actual = GreedyPolicy(networks).action_values(observation)
     torch.testing.assert_close(actual, torch.cat(expected))
 
@@ -144,7 +144,7 @@ def test_the_noise_that_the_cars_drive_with_is_that_of_the_last_update():
     loss, noise = with_noise(network)
     GreedyPolicy([network])  # which moves the network's tensors into a stack
     noise.draw()
-    own, of_loss = network.module[0].module[0].weight_epsilon, loss.value_network_params
+    own, of_loss = network.layers[0].weight_epsilon, loss.value_network_params
     assert torch.equal(own, of_loss["module", "0", "module", "0", "weight_epsilon"])
 
 
@@ -152,14 +152,14 @@ def test_noise_follows_its_own_generator_and_goes_on_from_its_state():
     network = noisy()
     loss, noise = with_noise(network)
     state = {"loss": {key: value.clone() for key, value in loss.state_dict().items()}, "noise": noise.state_dict()}
-    own = network.module[0].module[0].weight_epsilon.clone()
+    own = network.layers[0].weight_epsilon.clone()
     noise.draw()
     after = loss.state_dict()["value_network_params.module.0.module.0.weight_epsilon"].clone()
     other = noisy(seed=5)
     other_loss, other_noise = with_noise(other, seed=9)
     other_loss.load_state_dict(state["loss"])
     other_noise.load_state_dict(state["noise"])
-    assert torch.equal(other.module[0].module[0].weight_epsilon, own)
+    assert torch.equal(other.layers[0].weight_epsilon, own)
     other_noise.draw()
     assert torch.equal(other_loss.state_dict()["value_network_params.module.0.module.0.weight_epsilon"], after)
 

@@ -4,11 +4,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.modules import QValueActor
 
-from carrl.algorithms.common.network import make_q_network
-from carrl.algorithms.common.policy import GreedyPolicy
+from carrl.algorithms.common.network import QNetwork, make_q_network
 from carrl.algorithms.common.stack import stack_in_place
+from carrl.algorithms.dqn.policy import GreedyPolicy
 from carrl.errors import ConfigError
 
 
@@ -21,7 +20,7 @@ def normalised(seed):
     """A network that is not made of plain layers alone."""
     torch.manual_seed(seed)
     layers = nn.Sequential(nn.Linear(7, 8), nn.LayerNorm(8), nn.Linear(8, 3))
-    return QValueActor(layers, in_keys=["observation"], action_space="categorical")
+    return QNetwork(layers)
 
 
 def rooted(seed):
@@ -61,14 +60,14 @@ def test_the_policy_follows_the_networks_as_they_are_trained():
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.fill_(0.5)
-    torch.testing.assert_close(policy.action_values(observation), network.module[0].module(observation))
+    torch.testing.assert_close(policy.action_values(observation), network.layers(observation))
 
 
 def test_actions_are_those_of_the_highest_value_for_all_that_the_networks_read():
     network = make_q_network([4], observation_size=10, action_count=3, generator=torch.Generator().manual_seed(0))
     readings, last_action = torch.rand(6, 7), torch.tensor([0, 1, 2, 0, 1, 2])
     observation = torch.cat([readings, nn.functional.one_hot(last_action, 3).float()], dim=-1)
-    expected = network.module[0].module(observation).argmax(-1)
+    expected = network.layers(observation).argmax(-1)
     assert torch.equal(GreedyPolicy([network]).actions(observation), expected)
 
 

@@ -19,7 +19,7 @@ def test_a_soft_update_moves_the_target_a_share_of_the_way_after_each_update():
     loss = make_dqn_loss(0.9, "l2", False, network=network)
     updater = make_soft_update(0.25, loss=loss)
     target = loss.target_value_network_params["module", "0", "module", "weight"]
-    network.module[0].module.weight.data += 8.0
+    network.layers.weight.data += 8.0
     updater.step(100)
     assert target.flatten().tolist() == [1.0, 2.0, 3.0]
     updater.follow()

@@ -12,7 +12,7 @@ from tests.configs import compose
 pygame = pytest.importorskip("pygame", reason="the window needs pygame; pip install 'carrl[render]'")
 
 from carrl.cli import drive  # noqa: E402 (after the check for pygame)
-from carrl.env import rendering  # noqa: E402
+from carrl.render.window import Window  # noqa: E402
 
 
 @pytest.fixture
@@ -22,17 +22,17 @@ def play(monkeypatch):
 
     def run(presses, *arguments):
         shown = []
-        show = rendering.Window.show
+        show = Window.show
 
         def press_and_show(window, picture, fps):
             show(window, picture, 10_000)
-            shown.append(rendering.pixels(picture))
+            shown.append(picture)
             for kind, key in presses.get(len(shown), ()):
                 pygame.event.post(pygame.event.Event(kind, key=key))
             assert len(shown) < 500, "nobody pressed Esc"
 
         with monkeypatch.context() as patch:
-            patch.setattr(rendering.Window, "show", press_and_show)
+            patch.setattr(Window, "show", press_and_show)
             assert main(["drive", *arguments]) == 0
         return shown
 
@@ -132,10 +132,10 @@ def test_no_display_and_no_pygame_are_one_sentence_each(monkeypatch, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("carrl: no window can be opened: ")
     monkeypatch.setitem(sys.modules, "pygame", None)
-    monkeypatch.delitem(sys.modules, "carrl.render.raster")
+    monkeypatch.delitem(sys.modules, "carrl.render.window")
     assert main(["drive"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == "carrl: drawing needs pygame, which is not installed; pip install 'carrl[render]'"
+    assert line == "carrl: a window needs pygame, which is not installed; pip install 'carrl[render]'"
 
 
 @pytest.mark.parametrize("fps", ["0", "-1", "nan", "inf"])

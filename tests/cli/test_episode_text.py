@@ -10,10 +10,10 @@ import plotext
 import pytest
 from rich.console import Console
 
-from carrl.cli.text.episode_table import ray_bars
-from carrl.cli.text.episode_text import print_episode
+from carrl.cli.text.episode_text import print_episode, ray_bars
 from carrl.log.trace import EpisodeTrace
-from carrl.render.terminal_chart import Chart, Ink, action_inks, map_chart, round_ticks
+from carrl.render.terminal import Chart, Ink, action_inks, map_chart
+from carrl.render.ticks import round_ticks
 
 
 def printed(trace, width=80, height=24, colours=False, rows=None):
@@ -36,6 +36,8 @@ def repeated(trace, times):
     """The steps of the trace again and again, numbered on."""
     columns = {name: np.concatenate([values] * times) for name, values in trace.columns.items()}
     columns["step"] = np.arange(len(columns["step"]))
+    passed = columns["next_gates_passed"] - columns["gates_passed"]
+    columns |= {"gates_passed": passed.cumsum() - passed, "next_gates_passed": passed.cumsum()}
     return EpisodeTrace(trace.scene, columns)
 
 

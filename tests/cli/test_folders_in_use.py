@@ -9,7 +9,7 @@ import hydra.core.utils
 import pytest
 
 from carrl.cli.main import main
-from carrl.train.lock import LOCK, locked
+from carrl.train.new_folder import LOCK, locked
 from carrl.train.sweep import SweepFolder
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=16"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from carrl.cli.main import main
-from carrl.cli.output import guarded_output
+from carrl.cli.process import guarded_output
 from tests.run_folders import write_run
 
 FULL = Path("/dev/full")

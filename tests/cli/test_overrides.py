@@ -7,11 +7,11 @@ import sys
 import pytest
 import yaml
 
-from carrl.cli.known_keys import PLAIN_KEYS, nearest_keys, real_keys
 from carrl.cli.main import main
-from carrl.cli.overrides import name_files, quote, readable_overrides, sort_arguments, unquote
 from carrl.config import TARGETS, config_dir
 from carrl.errors import ConfigError
+from carrl.train.composition import PLAIN_KEYS, nearest_keys, real_keys
+from carrl.train.overrides import name_files, quote, readable_overrides, sort_arguments, unquote
 from tests.configs import compose
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=16"]
@@ -46,17 +46,19 @@ IGNORED_ONCE = [
     (["loss=dqnn"], "loss has no option dqnn; did you mean dqn, or one of: advantage_learning, cql, "),
     (["loss=3"], "loss has no option 3; choose one of: advantage_learning, cql, "),
     (["-m", "loss=3,4"], "loss has no option 3; choose one of: advantage_learning, cql, "),
-    (["recorder=null"], "recorder has no option null; choose one of: mcap, none"),
+    (["logger=null"], "logger has no option null; choose one of: csv, mlflow"),
+    (["recorder=none"], "recorder is 'none', but it is made of keys; set recorder.envs or recorder.every_nth_episode"),
+    (["returns=n_step"], "returns is 'n_step', but it is made of keys; set returns.steps, or returns=null"),
+    (["sensor=3"], "sensor is 3, but it is made of keys; set sensor.dropout or sensor.field_of_view"),
     (["learning_rate=0.01"], "learning_rate has no option 0.01; did you mean optimizer.lr=0.01?"),
     (["experiment=fsat"], "experiment has no option fsat; did you mean fast, or one of: "),
     (["loss.gama=1"], "there is no key loss.gama; did you mean loss.gamma?"),
     (["+loss.gama=1"], "loss has no key 'gama'; make_dqn_loss takes gamma, "),
     (["loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning and loss=cql only; choose one of these, too"),
     (["data.updates=1"], "data.updates is a key of data=log only; choose it, too"),
-    (["recorder=none", "+recorder.envs=3"], "recorder.envs has no effect, as no recorder is chosen; add one of: recor"),
     (["+learning_rate.final_share=1"], "learning_rate.final_share has no effect, as no learning_rate is chosen; add "),
     (["~loss"], "loss is left out, but training needs it; choose loss=advantage_learning|cql|"),
-    (["~trainer"], "trainer is left out, but training needs it; choose trainer=default"),
+    (["~trainer"], "trainer is left out, but training needs it; do not delete it, nor write trainer=null"),
     (["~seed"], "seed is left out, but training needs it; write seed=VALUE"),
     (["~optimizr"], "there is no key optimizr; did you mean optimizer?"),
     (["+search.a=1"], "+search.a=1 has no effect on carrl train; carrl tune searches"),
@@ -160,8 +162,9 @@ def test_a_resume_of_nothing_is_answered_with_what_it_lacks(typed, capsys, empty
 def test_the_known_keys_are_those_of_the_configuration():
     content = yaml.safe_load((config_dir() / "train.yaml").read_text())
     groups = {key for each in content["defaults"] if isinstance(each, dict) for key in each if " " not in key}
-    assert groups - {"experiment"} == set(TARGETS)
-    assert content.keys() - {"defaults", "hydra"} == set(PLAIN_KEYS) - {"search"}
+    nodes = {key for key, value in content.items() if isinstance(value, dict)} - {"hydra"}
+    assert groups - {"_self_", "experiment"} | nodes == set(TARGETS)
+    assert content.keys() - {"defaults", "hydra"} - nodes == set(PLAIN_KEYS) - {"search"}
     assert {"optimizer.lr", "loss.alpha", "data.path", "track.folder", "trainer.seeds"} <= set(real_keys())
 
 

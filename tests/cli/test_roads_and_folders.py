@@ -37,7 +37,7 @@ def trained(circuits, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "run"
     with pytest.MonkeyPatch.context() as patch:
         lines: list[str] = []
-        patch.setattr("carrl.cli.road_warning.print", lambda text, file: lines.append(text), raising=False)
+        patch.setattr("carrl.cli.text.console.print", lambda text, file: lines.append(text), raising=False)
         patch.setattr("carrl.tracks.circuits._logger.warning", lambda text, *values: lines.append(text % values))
         folder = ["track=circuits", "track.count=0", "track.validation=1", f"track.folder={circuits}"]
         assert main(["train", *TINY, *folder, f"hydra.run.dir={run}"]) == 0

@@ -3,11 +3,12 @@
 import os
 import pty
 import signal
+from contextlib import contextmanager
 
 import pytest
 
-from carrl.cli import signals
-from carrl.cli.signals import heeded, let_go_of_closed_terminal, stopping_on_signals
+from carrl.cli.process import heeded, let_go_of_closed_terminal
+from carrl.cli.text.console import StopOnSignals
 
 
 class Trainer:
@@ -15,6 +16,16 @@ class Trainer:
 
     def interrupt(self):
         self.stopping = True
+
+
+@contextmanager
+def stopping_on_signals(trainer):
+    observer = StopOnSignals()
+    observer.on_start(trainer)
+    try:
+        yield
+    finally:
+        observer.on_end()
 
 
 class EndedError(Exception):
@@ -40,7 +51,7 @@ def at_its_end(monkeypatch):
     def end(code):
         raise EndedError(code)
 
-    monkeypatch.setattr(signals.os, "_exit", end)
+    monkeypatch.setattr(os, "_exit", end)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

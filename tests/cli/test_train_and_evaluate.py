@@ -94,7 +94,7 @@ def test_a_sweep_leaves_a_folder_for_each_run(tmp_path):
 
 
 def test_without_a_recorder_there_is_no_log(tmp_path):
-    assert main(["train", *TINY, "trainer.frames=16", "recorder=none", f"hydra.run.dir={tmp_path}"]) == 0
+    assert main(["train", *TINY, "trainer.frames=16", "recorder=null", f"hydra.run.dir={tmp_path}"]) == 0
     assert not (tmp_path / "train.mcap").exists()
     assert (tmp_path / "summary.json").exists()
 
@@ -330,8 +330,11 @@ def test_other_actions_observations_and_rewards_are_trained_logged_and_evaluated
     metadata = read_summary(tmp_path / "train.mcap").metadata
     assert json.loads(metadata["reward_terms"]) == ["collision", "gate", "steering"]
     assert json.loads(metadata["action_names"]) == ["forward", "left", "right", "half_left", "half_right"]
-    yaw = [yaw for _, _, yaw in json.loads(metadata["manoeuvres"])]
-    assert yaw == pytest.approx([0, 1 / 7.2, -1 / 7.2, 0.5 / 7.2, -0.5 / 7.2], abs=1e-12)
+    assert json.loads(metadata["control_names"]) == ["steer"]
+    assert [part[:2] for part in json.loads(metadata["observation"])] == [["rays", 7], ["last_action", 5]]
+    turn = transitions["next", "pose"][:, 2] - transitions["pose"][:, 2]
+    for action, yaw in enumerate([0, 1 / 7.2, -1 / 7.2, 0.5 / 7.2, -0.5 / 7.2]):
+        assert turn[transitions["action"] == action].numpy() == pytest.approx(yaw, abs=1e-5)
     assert main(["log", "show", str(tmp_path / "train.mcap")]) == 0
     laps = []
     for policy in ("greedy", "rule"):

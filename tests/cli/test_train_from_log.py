@@ -6,9 +6,11 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
+from carrl.evaluation.results import Trial
 from carrl.sim.simulator import Simulator
 from carrl.task.task import Task
-from carrl.train.offline_trainer import OfflineTrainer
+from carrl.train.callbacks import Evaluator
+from carrl.train.trainer import Trainer
 from tests.data.logs import METADATA, logged_transitions, write_log
 
 TINY = ["data=log", "data.updates=20", "replay_buffer.batch_size=4", "track=oval", "compile=false"]
@@ -134,8 +136,8 @@ READ_BY_THE_SIMULATOR_ONLY = [
     "env.num_envs=4",
     "evaluation.interval=5",
     "collector.steps_per_batch=2",
-    "recorder=mcap",
-    "recorder.envs=2",
+    "recorder.every_nth_episode=1",
+    "start.anywhere=true",
 ]
 
 
@@ -152,7 +154,7 @@ def test_what_only_the_simulator_reads_is_refused_where_it_is_typed(
 
 
 def test_an_experiments_own_values_and_no_recorder_go_with_a_log(log_path, tmp_path):
-    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=none", "observation=rays"]
+    overrides = ["experiment=fast", *TINY, f"data.path={log_path}", "recorder=null", "observation=rays"]
     assert main(["train", *overrides, f"hydra.run.dir={tmp_path}"]) == 0
 
 
@@ -174,14 +176,14 @@ def test_the_log_of_one_fast_run_teaches_a_lap_without_a_single_simulator_step(l
     with monkeypatch.context() as until_learnt:
         for owner, name in ((Simulator, "__init__"), (Simulator, "start"), (Simulator, "step"), (Task, "__init__")):
             until_learnt.setattr(owner, name, refuse)
-        evaluate = OfflineTrainer._evaluate
+        drive = Evaluator.drive
 
-        def evaluate_at_the_end(trainer: OfflineTrainer) -> None:
+        def drive_at_the_end(evaluator: Evaluator, trainer: Trainer) -> list[Trial]:
             assert trainer.updates == 20_000
             until_learnt.undo()
-            evaluate(trainer)
+            return drive(evaluator, trainer)
 
-        until_learnt.setattr(OfflineTrainer, "_evaluate", evaluate_at_the_end)
+        until_learnt.setattr(Evaluator, "drive", drive_at_the_end)
         assert main(["train", "data=log", f"data.path={fast_log}", f"loss={loss}", f"hydra.run.dir={tmp_path}"]) == 0
     evaluation = json.loads((tmp_path / "summary.json").read_text())["evaluation"]
     assert evaluation["lap_completed"]

@@ -10,7 +10,7 @@ from carrl.cli.main import main
 from carrl.cli.search_space import Choice, Range, parse_search_space
 from carrl.cli.tune import _read_by_training
 from carrl.errors import ConfigError
-from carrl.train.objective import OBJECTIVES
+from carrl.train.replicate_run import OBJECTIVES
 
 needs_optuna = pytest.mark.skipif(find_spec("optuna") is None, reason="optuna is absent: pip install 'carrl[tune]'")
 TINY = ["experiment=tune", "compile=false", "track=oval", "trainer.seeds=null", "trainer.frames=32"]
@@ -97,36 +97,36 @@ class Training:
 
 @pytest.fixture
 def judge_of():
-    from carrl.cli.tune import _Judge
+    from carrl.cli.tune import PruningObserver
 
     config = {"trainer": {"frames": 1000}, "evaluation": {"interval": 250}}
-    return lambda trial, objective="first_lap": _Judge(trial, OBJECTIVES[objective], config)
+    return lambda trial, objective="first_lap": PruningObserver(trial, OBJECTIVES[objective], config)
 
 
 def test_a_hopeless_trial_is_stopped(judge_of):
     trial = Trial(hopeless_after=2)
     judge, first, second = judge_of(trial), Training(250, 0.1), Training(504, 0.25)
-    judge(first)
-    judge(Training(256, 0.1))  # no evaluation since
+    judge.on_round(first)
+    judge.on_round(Training(256, 0.1))  # no evaluation since
     assert (first.stopped, judge.verdict) == (False, None)
-    judge(second)
-    assert (second.stopped, judge.verdict) == (True, "hopeless")
+    judge.on_round(second)
+    assert (second.stopped, judge.verdict) == (True, "pruned")
     assert trial.reports == {1: 1900.0, 2: 1750.0}
 
 
 def test_a_trial_that_has_lapped_is_settled_and_still_measures_the_others(judge_of):
     trial, training = Trial(hopeless_after=9), Training(504, 1.0, first_lap=504)
     judge = judge_of(trial)
-    judge(training)
-    assert (training.stopped, judge.verdict, judge.value) == (True, "settled", 504.0)
+    judge.on_round(training)
+    assert (training.stopped, judge.verdict, judge.value) == (True, "converged", 504.0)
     assert trial.reports == {2: 504.0, 3: 504.0, 4: 504.0}
 
 
 def test_a_lap_is_worth_more_than_progress_and_a_smooth_one_more_still(judge_of):
     judge = judge_of(Trial(9), "drive")
-    judge(Training(250, 0.9))
+    judge.on_round(Training(250, 0.9))
     assert judge.value == 0.9
-    judge(Training(500, 1.0, first_lap=500))
+    judge.on_round(Training(500, 1.0, first_lap=500))
     assert math.isclose(judge.value, 1.0 + 0.5 + 0.75)
     assert judge.verdict is None  # it may drive better yet
 

@@ -8,6 +8,7 @@ from tensordict import TensorDict
 
 from carrl.log.writer import LogWriter
 from carrl.sim.sensor import Sensor
+from tests.logs import make_schema
 
 STEPS = (  # car, episode, step of each transition: two cars in turn; car 0 crashes after 3 steps and begins episode 2
     *((0, 0, 0), (1, 1, 0), (0, 0, 1), (1, 1, 1), (0, 0, 2), (1, 1, 2)),
@@ -33,13 +34,17 @@ def logged_transitions(width: int = 7, action: int | None = None) -> TensorDict:
         "reward_terms": torch.zeros(count, 4),
         "terminated": ((episode == 0) & (step == 2))[:, None],
         "truncated": ((episode == 1) & (step == 4))[:, None],
+        "pose": torch.zeros(count, 3),
+        "gates_passed": torch.zeros(count, dtype=torch.int64),
     }
     values = {
         "observation": reading[:, None].expand(count, width).clone(),
         "action": torch.arange(count) % 3 if action is None else torch.full((count,), action),
         "episode": episode,
         "step": step,
-        "env": env,
+        "car": env,
+        "next_gate": torch.zeros(count, dtype=torch.int64),
+        "gates_passed": torch.zeros(count, dtype=torch.int64),
         "pose": torch.zeros(count, 3),
         "action_value": torch.zeros(count, 3),
         "epsilon": torch.zeros(count),
@@ -54,7 +59,9 @@ def logged_transitions(width: int = 7, action: int | None = None) -> TensorDict:
 def write_log(path: Path, *batches: TensorDict, metadata: dict[str, str] | None = None) -> Path:
     """Writes a log of these batches, or of `logged_transitions()` in two; of a car with the default sensor."""
     transitions = logged_transitions()
-    with LogWriter(path, attachments={}, metadata=METADATA if metadata is None else metadata) as writer:
-        for batch in batches or (transitions[:4], transitions[4:]):
+    written = batches or (transitions[:4], transitions[4:])
+    schema = make_schema(written[0]["observation"].shape[1])
+    with LogWriter(path, schema=schema, attachments={}, metadata=METADATA if metadata is None else metadata) as writer:
+        for batch in written:
             writer.write(batch)
     return path

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from carrl.cli.main import main
-from carrl.cli.text.console import TrainingDisplay
+from carrl.cli.text.console import ProgressDisplay
 from carrl.errors import ConfigError
 from carrl.log import load, read_episodes, verify
 from carrl.train.build import build_pipeline
@@ -63,7 +63,7 @@ def killed(tmp_path_factory):
     killed = Killed(tmp_path_factory.mktemp("killed") / "run")
 
     def kill_a_worker(display, trainer):
-        killed.networks.append(copy.deepcopy(trainer.runs[0].agent.network))
+        killed.networks.append(copy.deepcopy(trainer.runs[0].network))
         if trainer.frames != KILLED_AT:
             return
         killed.processes = descendants(os.getpid())
@@ -77,7 +77,7 @@ def killed(tmp_path_factory):
     handler.emit = lambda record: records.append(record.getMessage())
     logging.getLogger("carrl").addHandler(handler)
     with pytest.MonkeyPatch.context() as patches:
-        patches.setattr(TrainingDisplay, "__call__", kill_a_worker)
+        patches.setattr(ProgressDisplay, "on_round", kill_a_worker)
         assert main(["train", *OVERRIDES, f"hydra.run.dir={killed.run}"]) == 0
     logging.getLogger("carrl").removeHandler(handler)
     killed.warnings = "\n".join(records)
@@ -88,7 +88,7 @@ def killed(tmp_path_factory):
 def log(killed):
     """Its transitions by car, [CARS, FRAMES / CARS]."""
     transitions = load(killed.run / "train.mcap")
-    assert (transitions["env"] == torch.arange(CARS).repeat(FRAMES // CARS)).all()
+    assert (transitions["car"] == torch.arange(CARS).repeat(FRAMES // CARS)).all()
     return transitions.view(-1, CARS).transpose(0, 1)
 
 
@@ -187,7 +187,7 @@ def test_a_run_on_a_running_cluster_is_reproducible_and_is_resumed_with_new_epis
 
 @needs_ray
 def test_an_address_where_nothing_answers_is_refused():
-    batches = iter(build_pipeline(compose("collector=ray", "collector.address='127.0.0.1:1'")).collector)
+    batches = iter(build_pipeline(compose("collector=ray", "collector.address='127.0.0.1:1'")).source.collector)
     with pytest.raises(ConfigError, match=r"collector.address is '127.0.0.1:1', where no Ray cluster answers"):
         next(batches)
 

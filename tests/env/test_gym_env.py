@@ -167,7 +167,7 @@ def test_an_action_is_one_of_three_whole_numbers_and_nothing_else(action):
     env.reset()
     with pytest.raises(ConfigError, match=r"^action is .*; it must be the whole number 0 forward, 1 left or 2 right$"):
         env.step(action)
-    assert env.scene().step == 0
+    assert env.snapshot().step == 0
 
 
 @pytest.mark.parametrize("left", [1, np.int64(1), np.uint8(1), np.array(1), torch.tensor(1)], ids=repr)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from torchrl.envs.utils import check_env_specs
 
 from carrl import Reward, Sensor, Start, Track, TrackEnv, Vehicle, paper_reward, rays_and_last_action
 from carrl.errors import ConfigError, TrackError
+from carrl.sim.simulator import Simulator
 from carrl.task.reward import Shaping
 
 
@@ -390,10 +392,9 @@ def test_a_gate_that_the_track_does_not_have_is_refused():
 @pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
 @pytest.mark.parametrize("column", range(3))
 @pytest.mark.parametrize("compiled", [True, False])
-def test_a_car_whose_pose_is_not_finite_terminates_and_the_others_drive(value, column, compiled):
+def test_a_car_whose_pose_is_not_finite_terminates_and_the_others_drive(value, column, compiled, monkeypatch):
+    monkeypatch.setattr("carrl.task.task.Simulator", partial(Simulator, compiled=compiled))
     env = TrackEnv(num_envs=2, reward=Reward({**paper_reward().terms, "shaping": Shaping(0.5)}))
-    if not compiled:
-        env.simulator._kernels = None
     pose = env.reset()["pose"]
     pose[0, column] = value
     after = step_with(env, pose=pose)

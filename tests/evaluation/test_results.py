@@ -41,6 +41,19 @@ def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
     assert trial.shown == 1
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_only_the_trajectory_of_the_drive_to_look_at_is_kept(kept, lap, crash):
+    trial = Trial((lap, crash, lap)).with_trajectory(kept)
+    assert trial.measures() == Trial((lap, crash, lap)).measures()
+    steps = [len(drive.actions) for drive in trial.drives]
+    assert steps == [0, len(crash.actions) if kept else 0, 0]
+    assert [len(drive.poses) for drive in trial.drives] == [0, steps[1] + 1 if kept else 0, 0]
+    assert all(array.base is None for drive in trial.drives for array in (drive.poses, drive.ranges, drive.actions))
+    loaded = Trial.from_state_dict(trial.state_dict())
+    assert loaded.measures() == trial.measures()
+    assert (loaded.drives[1].ranges == trial.drives[1].ranges).all()
+
+
 def test_more_laps_are_better_than_more_progress(lap, crash):
     hopeless = replace(crash, progress=0.0)
     one_lap, none = Trial((lap, hopeless)), Trial((replace(crash, progress=0.9),) * 2)

@@ -1,6 +1,7 @@
-"""The log for robotics viewers: frames, scenes, clouds and plots agree with the episode, and Rerun reads them."""
+"""The log for robotics viewers: frames, scenes and plots agree with the episode."""
 
 import dataclasses
+import importlib
 import sys
 
 import numpy as np
@@ -9,27 +10,25 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from carrl.errors import CarrlError
-from carrl.export.foxglove import write_viewer_log
 from carrl.log.trace import EpisodeTrace
-from carrl.render.viewer_palette import ACTIONS, GATE, START, WALL
+from carrl.render.colours import DARK, rgb
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
 
-from carrl.export.foxglove.message_type import identifiers
+from carrl.export.foxglove import identifiers, write_viewer_log
+
+ACTIONS = [rgb(colour) for colour in DARK.actions]
 
 TOPICS = {
     "/track": ("foxglove.SceneUpdate", 1),
-    "/track/points": ("foxglove.PointCloud", 1),
     "/drive": ("foxglove.SceneUpdate", 1),
     "/drive/poses": ("foxglove.PosesInFrame", 1),
-    "/drive/points": ("foxglove.PointCloud", 1),
     "/tf": ("foxglove.FrameTransform", 15),
     "/car": ("foxglove.SceneUpdate", 1),
     "/car/pose": ("foxglove.PoseInFrame", 15),
     "/car/scan": ("foxglove.LaserScan", 15),
     "/car/rays": ("foxglove.SceneUpdate", 15),
-    "/car/points": ("foxglove.PointCloud", 15),
-    "/q_values": ("carrl.QValues", 14),
+    "/action_value": ("carrl.ActionValue", 14),
     "/reward": ("carrl.Reward", 14),
     "/ranges": ("carrl.Ranges", 15),
     "/epsilon": ("carrl.Epsilon", 14),
@@ -79,24 +78,6 @@ def shade(colour):
     return tuple(round(255 * part) for part in (colour.r, colour.g, colour.b))
 
 
-def cloud_points(cloud):
-    """Places [N, 3], m, and colours [N, 4] of a point cloud, read by what its fields say."""
-    sizes = {7: ("<f4", 4), 1: ("u1", 1)}
-    kind = np.dtype(
-        {
-            "names": [field.name for field in cloud.fields],
-            "formats": [sizes[field.type][0] for field in cloud.fields],
-            "offsets": [field.offset for field in cloud.fields],
-            "itemsize": cloud.point_stride,
-        }
-    )
-    points = np.frombuffer(cloud.data, kind)
-    columns = [
-        np.stack([points[name] for name in names], axis=1) for names in ("xyz", ("red", "green", "blue", "alpha"))
-    ]
-    return columns[0], columns[1]
-
-
 def test_every_topic_has_its_schema_and_a_message_for_each_step(log):
     assert {topic: (log.schemas[topic], len(log.messages[topic])) for topic in log.messages} == TOPICS
 
@@ -104,7 +85,7 @@ def test_every_topic_has_its_schema_and_a_message_for_each_step(log):
 def test_messages_have_the_times_of_the_run_s_log_and_are_in_their_order(log, trace):
     steps = 5_000_000_000 + 100_000_000 * np.arange(15)
     assert log.times["/tf"] == steps.tolist()
-    assert log.times["/q_values"] == steps[:14].tolist()
+    assert log.times["/action_value"] == steps[:14].tolist()
     stamps = [message.timestamp.seconds * 10**9 + message.timestamp.nanos for message in log.messages["/tf"]]
     assert stamps == steps.tolist()
     assert log.order == sorted(log.order)
@@ -138,11 +119,11 @@ def test_a_ray_that_meets_nothing_reads_infinity_in_the_scan(log, trace):
 
 
 def test_the_track_is_drawn_once_with_its_walls_and_gates(log, trace):
-    walls, gates, start, centreline = log.messages["/track"][0].entities[0].lines
+    centreline, gates, start, walls = log.messages["/track"][0].entities[0].lines
     np.testing.assert_allclose(places(walls.points), trace.track.walls.reshape(-1, 2))
     np.testing.assert_allclose(places([*gates.points, *start.points]), trace.track.gates.reshape(-1, 2))
-    np.testing.assert_allclose(places(centreline.points), trace.track.centreline)
-    assert [shade(line.color) for line in (walls, gates, start)] == [WALL, GATE, START]
+    np.testing.assert_allclose(places(centreline.points)[::2], trace.track.centreline)
+    assert [shade(line.color) for line in (walls, gates, start)] == [*map(rgb, (DARK.wall, DARK.gate, DARK.start))]
 
 
 def test_the_driven_line_has_the_colours_of_the_actions(log, trace):
@@ -162,14 +143,14 @@ def test_the_car_is_drawn_once_and_goes_with_its_frame(log, trace):
 
 
 def test_what_is_plotted_has_a_field_for_each_name(log, trace):
-    np.testing.assert_allclose(log.column("/q_values", "forward", "left", "right"), trace.action_values)
+    np.testing.assert_allclose(log.column("/action_value", "forward", "left", "right"), trace.columns["action_value"])
     np.testing.assert_allclose(log.column("/reward", *trace.scene.reward_terms), trace.reward_terms)
     sums = np.column_stack([trace.rewards, trace.rewards.cumsum()])
     np.testing.assert_allclose(log.column("/reward", "reward", "return_so_far"), sums)
     np.testing.assert_allclose(
         log.column("/ranges", "right_90", "right_45", "ahead", "left_45", "left_90"), trace.ranges
     )
-    np.testing.assert_allclose(log.column("/epsilon", "epsilon")[:, 0], trace.epsilon)
+    np.testing.assert_allclose(log.column("/epsilon", "epsilon")[:, 0], trace.columns["epsilon"])
 
 
 def test_actions_are_plotted_by_name(log, trace):
@@ -200,33 +181,6 @@ def test_the_log_says_which_episode_it_is(log):
     }
 
 
-def test_clouds_repeat_walls_and_rays_as_points(log, trace):
-    track, colours = cloud_points(log.messages["/track/points"][0])
-    walls = track[(colours == (*WALL, 255)).all(axis=1)]
-    on_outer = np.isclose(np.abs(walls[:, :2] - 10).max(axis=1), 10, atol=1e-5)
-    on_inner = np.isclose(np.abs(walls[:, :2] - 10).max(axis=1), 4, atol=1e-5)
-    assert (on_outer | on_inner).all()
-    gaps = np.diff(np.unique(walls[on_outer & (walls[:, 1] == 0)][:, 0]))
-    assert 0.2 < gaps.min() <= gaps.max() < 0.31
-    ahead = np.stack([np.linalg.norm(cloud_points(cloud)[0], axis=1).max() for cloud in log.messages["/car/points"]])
-    np.testing.assert_allclose(ahead, trace.ranges.max(axis=1).clip(min=1.5), rtol=1e-6)
-
-
-def test_rerun_draws_the_clouds_in_the_frames_of_world_and_car(path, trace):
-    chunks = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed")
-    drawn, frames = {}, {}
-    for chunk in chunks.McapReader(path).stream():
-        batch = chunk.to_record_batch()
-        for name, found in (("Points3D:positions", drawn), ("CoordinateFrame:frame", frames)):
-            if name in batch.schema.names:
-                found[chunk.entity_path] = batch.column(name).to_pylist()
-    assert {len(rows) for rows in drawn.values()} == {1, 15}
-    assert set(drawn) == {"/track/points", "/drive/points", "/car/points"}
-    assert frames["/track/points"][0] == ["world"]
-    assert frames["/car/points"][0] == ["car"]
-    np.testing.assert_allclose(np.array(drawn["/drive/points"][0])[:, :2], trace.poses[:-1, :2], rtol=1e-6)
-
-
 def test_the_same_episode_gives_the_same_bytes(path, trace, tmp_path):
     write_viewer_log(tmp_path / "again.mcap", trace, "an episode")
     assert (tmp_path / "again.mcap").read_bytes() == path.read_bytes()
@@ -236,22 +190,12 @@ def test_names_that_protobuf_does_not_allow_are_replaced_by_others(trace, tmp_pa
     assert identifiers(["turn left!", "turn left?", "3", ""]) == ["turn_left", "turn_left_1", "_3", "_"]
     named = dataclasses.replace(trace.scene, action_names=("straight on", "left-", "left+"))
     write_viewer_log(tmp_path / "named.mcap", EpisodeTrace(named, trace.columns), "an episode")
-    found = ViewerLog(tmp_path / "named.mcap").column("/q_values", "straight_on", "left", "left_2")
-    np.testing.assert_allclose(found, trace.action_values)
+    found = ViewerLog(tmp_path / "named.mcap").column("/action_value", "straight_on", "left", "left_2")
+    np.testing.assert_allclose(found, trace.columns["action_value"])
 
 
-def test_walls_of_a_long_circuit_stay_a_bounded_number_of_points(trace, tmp_path):
-    track = dataclasses.replace(trace.track, walls=1000 * trace.track.walls)
-    scene = dataclasses.replace(trace.scene, tracks=(track,))
-    write_viewer_log(tmp_path / "long.mcap", EpisodeTrace(scene, trace.columns), "an episode")
-    points, _ = cloud_points(ViewerLog(tmp_path / "long.mcap").messages["/track/points"][0])
-    assert 6000 <= len(points) < 7000
-
-
-def test_without_foxglove_one_is_told_what_to_install(trace, tmp_path, monkeypatch):
-    for module in [name for name in sys.modules if name.startswith("carrl.export.foxglove.")]:
-        monkeypatch.delitem(sys.modules, module)
+def test_without_foxglove_one_is_told_what_to_install(monkeypatch):
+    monkeypatch.delitem(sys.modules, "carrl.export.foxglove")
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(CarrlError, match=r"need foxglove-sdk, which is not installed; pip install 'carrl\[export\]'"):
-        write_viewer_log(tmp_path / "episode.mcap", trace, "an episode")
-    assert not list(tmp_path.iterdir())
+        importlib.import_module("carrl.export.foxglove")

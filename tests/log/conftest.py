@@ -9,6 +9,7 @@ from tensordict import TensorDict
 
 from carrl.log.messages import Episode, Metrics
 from carrl.log.writer import LogWriter
+from tests.logs import make_schema
 
 
 @pytest.fixture
@@ -33,6 +34,8 @@ def transitions() -> Callable[..., TensorDict]:
             "observation": noise(rays),
             "terminated": noise(1) > 0,
             "truncated": noise(1) > 0,
+            "pose": noise(3),
+            "gates_passed": torch.arange(count) + 1,
         }
         return TensorDict(
             {
@@ -40,7 +43,9 @@ def transitions() -> Callable[..., TensorDict]:
                 "action": torch.randint(3, (count,), generator=generator),
                 "episode": torch.arange(count) // 5,
                 "step": torch.arange(count) % 5,
-                "env": torch.arange(count) % 3,
+                "car": torch.arange(count) % 3,
+                "next_gate": torch.arange(count) % 4,
+                "gates_passed": torch.arange(count),
                 "pose": noise(3),
                 "action_value": noise(3),
                 "epsilon": noise(),
@@ -60,7 +65,7 @@ def log_path(tmp_path: Path, transitions: Callable[..., TensorDict]) -> Path:
     """A finished log of 9 transitions in three batches, two episodes and one message of metrics, two attachments."""
     path = tmp_path / "train.mcap"
     attachments = {"config.yaml": b"seed: 1\n", "track.json": b'{"name": "oval"}'}
-    with LogWriter(path, attachments=attachments, metadata={"track": "oval"}) as writer:
+    with LogWriter(path, schema=make_schema(), attachments=attachments, metadata={"track": "oval"}) as writer:
         for batch, count in enumerate((4, 1, 4)):
             writer.write(transitions(count, seed=batch))
         writer.write_episode(Episode(0, 2, 0, 5, 0, 500_000_000, -149.5, 5, 1, 0, "collision", (1.0, -2.5, 0.75)))

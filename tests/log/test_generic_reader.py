@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from carrl.log import read_columns, read_episodes, read_metrics
-from carrl.log.schema import COLUMNS
+from tests.logs import make_schema
 
 PROGRAM = """
 import json, sys
@@ -37,7 +37,7 @@ def test_a_generic_protobuf_reader_decodes_the_same_numbers(log_path):
     assert {name for name, _, _ in found["/transitions"]} == {"carrl.Transitions"}
     assert [(batch["offset"], batch["count"]) for batch in batches] == [(0, 4), (4, 1), (5, 4)]
     columns = read_columns(log_path)
-    for column in COLUMNS:
+    for column in make_schema().columns:
         decoded = [value for batch in batches for value in batch[column.name]]
         assert decoded == columns[column.name].flatten().tolist(), column.name
 

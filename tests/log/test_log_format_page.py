@@ -5,19 +5,22 @@ from pathlib import Path
 
 import pytest
 
+import carrl
+from carrl.algorithms.dqn.dqn import dqn_columns
 from carrl.log import Episode, Metrics
 from carrl.log.schema import (
     CHANNELS,
-    COLUMNS,
     EPISODES,
     FIRST_COLUMN_FIELD,
     FORMAT_VERSION,
     MESSAGE_NAMES,
     METRICS,
-    message_class,
+    small_message_class,
 )
+from carrl.train.provenance import log_schema
 
 PAGE = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text()
+SCHEMA = log_schema(carrl.TrackEnv(), dqn_columns(("forward", "left", "right")))
 ROWS = [line.strip("| ").split(" | ") for line in PAGE.splitlines() if line.startswith("| ")]
 
 
@@ -33,14 +36,14 @@ def test_the_page_lists_every_topic_with_its_channel_and_message():
 def test_the_page_lists_every_column_with_its_number_and_meaning():
     assert [(row[0], row[1], row[-1]) for row in ROWS if len(row) == 6 and row[0].isdecimal()] == [
         (str(number), f"`{column.name}`", column.meaning)
-        for number, column in enumerate(COLUMNS, start=FIRST_COLUMN_FIELD)
+        for number, column in enumerate(SCHEMA.columns, start=FIRST_COLUMN_FIELD)
     ]
 
 
 @pytest.mark.parametrize(("topic", "kind"), [(EPISODES, Episode), (METRICS, Metrics)])
 def test_the_page_lists_every_field_of_the_small_messages(topic, kind):
     section = PAGE[PAGE.index(f"`{MESSAGE_NAMES[topic]}`, by field") :].split("\n\n")[1]
-    numbers = {field.name: field.number for field in message_class(topic).DESCRIPTOR.fields}
+    numbers = {field.name: field.number for field in small_message_class(topic).DESCRIPTOR.fields}
     found = dict(re.findall(r"^\| (\d+) \| `(\w+)`", section, flags=re.MULTILINE))
     assert {name: int(number) for number, name in found.items()} == numbers
     assert list(found.values()) == ["run", *kind._fields]

@@ -23,12 +23,13 @@ from carrl.log import (
     recover,
     verify,
 )
-from carrl.log.mcap_index import IndexedFile
-from carrl.log.mcap_summary import serialise
+from carrl.log.mcap_read import IndexedFile
+from carrl.log.mcap_write import serialise
 from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
 from carrl.log.writer import LogWriter
 from tests.log.rewriting import BACKWARDS, NOTHING_TOLD, VARIANTS, rewrite
+from tests.logs import make_schema
 
 
 def assert_same(path, original):
@@ -51,7 +52,7 @@ def second_log(tmp_path, transitions):
     """A log of another run: three transitions, and its own metadata and attachments."""
     path = tmp_path / "second.mcap"
     attachments = {"config.yaml": b"seed: 2\n", "track.json": b'{"name": "ring"}'}
-    with LogWriter(path, attachments=attachments, metadata={"track": "ring"}) as writer:
+    with LogWriter(path, schema=make_schema(), attachments=attachments, metadata={"track": "ring"}) as writer:
         writer.write(transitions(3, seed=9))
         writer.write_episode(Episode(0, 0, 0, 3, 0, 300_000_000, 1.0, 3, 0, 0, "collision", (0.0, 0.0, 0.0)))
         writer.write_metrics(Metrics(3, 1, 0.5, 0.5, 0.5, 0.5, 500.0))
@@ -90,7 +91,7 @@ def test_messages_outside_of_chunks_are_verified_where_the_whole_file_has_a_chec
     ids=["a message a chunk", "mixed chunks", "no summary", "no chunks"],
 )
 def test_an_episode_is_selected_as_from_the_original(tmp_path, transitions, options):
-    with LogWriter(tmp_path / "original.mcap", attachments={}, metadata={}) as writer:
+    with LogWriter(tmp_path / "original.mcap", schema=make_schema(), attachments={}, metadata={}) as writer:
         for part in range(12):
             batch = transitions(10, seed=part)
             batch["episode"] += 2 * part
@@ -106,13 +107,13 @@ def test_an_episode_is_selected_as_from_the_original(tmp_path, transitions, opti
         columns = read_columns(path, Selection(episodes=[episode]))
         assert columns["step"].tolist() == [0, 1, 2, 3, 4]
         assert np.array_equal(
-            columns["pose"], read_columns(tmp_path / "original.mcap", Selection(episodes=[episode]))["pose"]
+            columns["state"], read_columns(tmp_path / "original.mcap", Selection(episodes=[episode]))["state"]
         )
     assert len(read_columns(path, Selection(begin_s=2.2, end_s=7.7))["step"]) == 55
 
 
 def test_a_log_whose_index_is_whole_is_not_read_from_begin_to_end(log_path, monkeypatch):
-    monkeypatch.setattr("carrl.log.mcap_index.scan", lambda *_: pytest.fail("the whole file was read"))
+    monkeypatch.setattr("carrl.log.mcap_read.scan", lambda *_: pytest.fail("the whole file was read"))
     assert read_summary(log_path).transitions == 9
 
 
@@ -205,7 +206,9 @@ def test_two_parts_of_a_run_merged_into_one_file_are_no_damage_and_what_recovery
     tmp_path, transitions
 ):
     attachments = {"config.yaml": b"", "track.json": b""}
-    with LogWriter(tmp_path / "a.mcap", None, 1, 2**20, attachments=attachments, metadata={}) as writer:
+    with LogWriter(
+        tmp_path / "a.mcap", None, 1, 2**20, schema=make_schema(), attachments=attachments, metadata={}
+    ) as writer:
         while writer.path == tmp_path / "a.mcap":
             writer.write(transitions(4000))
     path = rewrite(tmp_path / "a.mcap", tmp_path / "merged.mcap", tmp_path / "a-1.mcap")
@@ -244,17 +247,17 @@ def test_recovery_invents_nothing_where_no_channel_record_is_left(log_path, tmp_
 
 
 def test_recovery_tells_of_messages_that_the_statistics_count_and_that_are_not_found(log_path, tmp_path, monkeypatch):
-    from carrl.log.mcap_summary import Summary
+    from carrl.log import mcap_write
 
-    count = Summary.statistics
+    count = mcap_write._statistics
 
-    def with_more(summary):
-        statistics = count(summary)
+    def with_more(index):
+        statistics = count(index)
         statistics.channel_message_counts[3] += 5
         statistics.message_count += 5
         return statistics
 
-    monkeypatch.setattr(Summary, "statistics", with_more)
+    monkeypatch.setattr(mcap_write, "_statistics", with_more)
     recover(log_path, tmp_path / "boasting.mcap")
     monkeypatch.undo()
     recovery = recover(tmp_path / "boasting.mcap", tmp_path / "new.mcap")
@@ -293,7 +296,7 @@ def test_topics_are_those_of_the_channel_records(log_path, tmp_path):
     path = rewrite(log_path, tmp_path / "rewritten.mcap", topics=BACKWARDS)
     with IndexedFile(path) as file:
         assert [file.index.channels[number].topic for number in (1, 3)] == [METRICS, TRANSITIONS]
-    assert np.array_equal(read_columns(path)["pose"], read_columns(log_path)["pose"])
+    assert np.array_equal(read_columns(path)["state"], read_columns(log_path)["state"])
 
 
 @pytest.mark.parametrize("lost", CHANNELS)

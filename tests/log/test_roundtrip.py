@@ -6,20 +6,22 @@ import torch
 from tensordict import TensorDict
 
 from carrl.log import codec, load, read_columns, read_summary
-from carrl.log.schema import COLUMNS, TRANSITIONS
+from carrl.log.schema import TRANSITIONS
 from carrl.log.writer import LogWriter
+from tests.logs import make_schema
 
 INT32, INT64 = torch.iinfo(torch.int32), torch.iinfo(torch.int64)
 
 
 def write(path, *batches):
-    with LogWriter(path, attachments={}, metadata={}) as writer:
+    schema = make_schema(batches[0]["observation"].shape[1])
+    with LogWriter(path, schema=schema, attachments={}, metadata={}) as writer:
         for batch in batches:
             writer.write(batch)
 
 
 def assert_same_bits(found, expected):
-    for column in COLUMNS:
+    for column in make_schema().columns:
         assert found[column.key].dtype == expected[column.key].dtype
         assert found[column.key].shape == expected[column.key].shape
         assert found[column.key].numpy().tobytes() == expected[column.key].numpy().tobytes(), column.name
@@ -52,7 +54,7 @@ def test_the_extremes_of_each_integer_column_survive(tmp_path, transitions):
     batch = transitions(2)
     batch["episode"] = torch.tensor([INT64.min, INT64.max])
     batch["time_ns"] = torch.tensor([0, INT64.max])
-    for key in ("action", "step", "env", "track"):
+    for key in ("action", "step", "car", "track"):
         batch[key] = torch.tensor([INT32.min, INT32.max])
     write(tmp_path / "a.mcap", batch)
     assert_same_bits(load(tmp_path / "a.mcap"), batch)

@@ -2,45 +2,159 @@
 
 import json
 import math
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
 
 import carrl
+from carrl.cli.main import main
+from carrl.data.episodes import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
-from carrl.log import Log, read_trace
+from carrl.log import Column, Log, read_trace
 from carrl.log.messages import Episode
-from carrl.log.scene import Scene, TrackShape
-from carrl.log.schema import COLUMNS
+from carrl.log.scene import ObservationPart, Scene, TrackShape
 from carrl.log.trace import read_scene
 from carrl.log.writer import LogWriter
-from carrl.train.episodes import EpisodeTracker
-from carrl.train.provenance import describe_run, scene_of
+from carrl.sim.vehicle import VehicleModel
+from carrl.task.action import ContinuousActions
+from carrl.task.reward import Collision, Gate, Reward
+from carrl.task.start import Start
+from carrl.train.provenance import describe_run, log_schema, scene_of
+from tests.logs import dqn_columns, make_schema
+
+ROUNDS = 60
+
+
+def drive(path, env, schema, rounds, choose, first=0):
+    """Writes a log of an environment whose cars `choose` drives, from a round on; returns every round's transitions."""
+    gates = [track.gate_count for track in env.tracks]
+    tracker = EpisodeTracker(1, env.batch_size[0], gates, env.simulator.vehicle.time_step)
+    names = [f"track-{index}.json" if index else "track.json" for index in range(len(env.tracks))]
+    attachments = {name: json.dumps(track.as_dict()).encode() for name, track in zip(names, env.tracks, strict=True)}
+    attachments["config.yaml"] = b"seed: 0\n"
+    state, steps = env.reset(), []
+    with LogWriter(path, schema=schema, attachments=attachments, metadata=describe_run(env, 0, 2)) as writer:
+        for number in range(rounds):
+            transition, state = env.step_and_maybe_reset(choose(number, state))
+            batch = transition[:, None]
+            episodes = tracker.follow(batch)[0]
+            batch = batch[:, 0]
+            batch["action_value"], batch["epsilon"] = torch.randn(len(batch), 3), torch.full((len(batch),), 0.5)
+            batch["exploratory"] = torch.arange(len(batch)) == 0
+            batch["log_prob"] = torch.full((len(batch),), -1.5, dtype=torch.float64)
+            if number >= first:
+                writer.write(batch.select(*writer.keys))
+            for episode in episodes:
+                writer.write_episode(episode)
+            steps.append(batch)
+    return steps
 
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
     """A log of two cars, one of which turns left, goes forward, turns right and so on; its environment and steps."""
     env = carrl.TrackEnv("oval", num_envs=2, seed=0, max_steps=7)
-    tracker = EpisodeTracker(1, 2, env.track.gate_count, env.simulator.vehicle.time_step)
     path = tmp_path_factory.mktemp("driven") / "train.mcap"
-    attachments = {"track.json": json.dumps(env.track.as_dict()).encode(), "config.yaml": b"seed: 0\n"}
-    state, steps = env.reset(), []
-    with LogWriter(path, attachments=attachments, metadata=describe_run(env, seed=0, cars=2)) as writer:
-        for step in range(10):
-            state["action"] = torch.tensor([(1, 0, 2)[step % 3], 0])
-            transition, state = env.step_and_maybe_reset(state)
-            batch = transition[:, None]
-            episodes = tracker.follow(batch)[0]
-            batch = batch[:, 0]
-            batch["action_value"], batch["epsilon"] = torch.randn(2, 3), torch.full((2,), 0.5)
-            batch["exploratory"] = torch.tensor([True, False])
-            writer.write(batch.select(*(column.key for column in COLUMNS)))
-            for episode in episodes:
-                writer.write_episode(episode)
-            steps.append(batch)
-    return path, env, steps
+
+    def choose(number, state):
+        return state.set("action", torch.tensor([(1, 0, 2)[number % 3], 0]))
+
+    return path, env, drive(path, env, log_schema(env, dqn_columns()), 10, choose)
+
+
+def assert_true(trace, steps):
+    """Every state, gate and count of the trace is that of the simulation."""
+    car, key = trace.car, "state" if "state" in steps[0] else "pose"
+    own = [step[car] for step in steps if int(step[car]["episode"]) == trace.episode]
+    own = own[len(own) - len(trace) :]
+    last = own[-1]["next"]
+    assert np.array_equal(trace.states, torch.stack([*(step[key] for step in own), last[key]]).double().numpy())
+    assert np.array_equal(trace.poses, torch.stack([*(step["pose"] for step in own), last["pose"]]).double().numpy())
+    counts = [*(int(step["gates_passed"]) for step in own), int(last["gates_passed"])]
+    assert trace.gates_passed.tolist() == counts
+    gates = len(trace.track.gates)
+    expected = [
+        (row, (int(step["next_gate"]) + nth) % gates)
+        for row, step in enumerate(own)
+        for nth in range(counts[row + 1] - counts[row])
+    ]
+    assert trace.passings == expected
+    assert all(int(own[row]["next", "next_gate"]) == (gate + 1) % gates for row, gate in dict(expected).items())
+    return len(expected)
+
+
+@pytest.mark.parametrize("weight", [50.0, 0.0])
+@pytest.mark.parametrize("first", [0, 25], ids=["from the begin", "the begin is missing"])
+def test_a_trace_is_what_was_simulated_whatever_is_driven_and_paid(tmp_path, weight, first):
+    reward = Reward({"collision": Collision(), "gate": Gate(weight)})
+    env = carrl.TrackEnv(["paper", "oval"], num_envs=6, seed=3, max_steps=40, reward=reward, start=Start(anywhere=True))
+    steps = drive(
+        tmp_path / "a.mcap",
+        env,
+        log_schema(env, dqn_columns()),
+        120,
+        lambda _, state: env.rand_action(state) if torch.rand(()) < 0.3 else state.set("action", rule(state)),
+        first,
+    )
+    with Log(tmp_path / "a.mcap") as log:
+        episodes = np.unique(log.columns()["episode"]).tolist()
+        passed = [assert_true(read_trace(log, episode), steps) for episode in episodes]
+    assert sum(passed) > 10
+    assert len(episodes) > 15
+
+
+def rule(state):
+    """To the side whose rays are longer."""
+    left, right = state["observation"][:, 4:].sum(-1), state["observation"][:, :3].sum(-1)
+    return torch.where((left - right).abs() < 0.5, 0, torch.where(left > right, 1, 2))
+
+
+@dataclass(frozen=True)
+class Drifting(VehicleModel):
+    """A vehicle whose state and controls are more than a pose and a steering wheel."""
+
+    state_names: ClassVar[tuple[str, ...]] = ("x", "y", "heading", "speed", "slip", "yaw_rate")
+    control_names: ClassVar[tuple[str, ...]] = ("steer", "throttle")
+    time_step: float = 0.1
+    body_radius: float = 0.5
+
+    @property
+    def step_length(self):
+        return 0.5
+
+    def step(self, state, control):
+        x, y, heading, speed, slip, _ = state.unbind(-1)
+        steer, throttle = control.unbind(-1)
+        speed = (speed + throttle).clamp(0, 4)
+        x, y = x + 0.1 * speed * heading.cos(), y + 0.1 * speed * heading.sin()
+        return torch.stack([x, y, heading + 0.1 * steer, speed, 0.5 * slip + 0.1 * steer, steer], dim=-1)
+
+
+def test_a_log_of_another_vehicle_other_actions_and_another_algorithm_reads_by_what_it_says_itself(tmp_path, capsys):
+    action = ContinuousActions(("steer", "throttle"))
+    env = carrl.TrackEnv("oval", num_envs=2, seed=0, max_steps=30, vehicle=Drifting(), action=action)
+    schema = log_schema(env, [Column("log_prob", "log_prob", "float64", (), "log probability of the action")])
+    path = tmp_path / "train.mcap"
+    steps = drive(path, env, schema, ROUNDS, lambda _, state: env.rand_action(state))
+    with Log(path) as log:
+        assert log.schema == schema
+        for episode in (0, 1):
+            assert_true(read_trace(log, episode), steps)
+    loaded = carrl.log.load(path)
+    for key in schema.keys:
+        assert torch.equal(loaded[key], torch.cat([step[key] for step in steps]))
+    assert torch.equal(loaded["next", "pose"], loaded["next", "state"][:, :3])
+    for verb in (["info"], ["ls"], ["show"], ["stats"], ["cat", "--limit", "2"], ["check"]):
+        for flags in ([], ["--json"]):
+            assert main(["log", verb[0], str(path), *verb[1:], *flags]) == 0
+    assert "log_prob -1.5" in capsys.readouterr().out
+    for ending in (".csv", ".npz", ".html"):
+        assert main(["log", "export", str(path), str(tmp_path / f"out{ending}")]) == 0
+    heading = (tmp_path / "out.csv").read_text().splitlines()[0].split(",")
+    assert {"action_steer", "action_throttle", "state_slip", "next_state_yaw_rate", "log_prob"} <= set(heading)
 
 
 def test_the_scene_is_that_of_the_environment(driven):
@@ -63,11 +177,10 @@ def test_a_trace_follows_the_car_to_where_it_came_to(driven):
     path, _, steps = driven
     with Log(path) as log:
         trace = read_trace(log, 0)
-    assert (len(trace), trace.episode, trace.env, trace.first_step, trace.ended) == (7, 0, 0, 0, "time limit")
+    assert (len(trace), trace.episode, trace.car, trace.first_step, trace.ended) == (7, 0, 0, 0, "time limit")
     assert trace.actions.tolist() == [1, 0, 2, 1, 0, 2, 1]
     assert trace.exploratory.all()
-    expected = [step["pose"][0] for step in steps[:7]] + [steps[6]["next", "pose"][0]]
-    assert trace.poses == pytest.approx(torch.stack(expected).numpy(), abs=1e-5)
+    assert_true(trace, steps)
     assert trace.times == pytest.approx(np.arange(8) * 0.1)
 
 
@@ -91,16 +204,6 @@ def test_an_episode_cut_by_the_end_of_the_run_is_unfinished(driven):
         assert len(read_trace(log, 2)) == 3
 
 
-def test_gates_are_counted_by_the_rewards_for_them(driven):
-    with Log(driven[0]) as log:
-        trace = read_trace(log, 1)
-    columns = {name: values.copy() for name, values in trace.columns.items()}
-    columns["reward_terms"][:] = 0
-    columns["reward_terms"][[1, 4], 2] = 50.0
-    counted = type(trace)(trace.scene, columns)
-    assert counted.gates_passed.tolist() == [0, 0, 1, 1, 1, 2, 2, 2]
-
-
 def test_an_episode_that_the_log_does_not_hold_is_refused(driven):
     with Log(driven[0]) as log, pytest.raises(LogError, match="holds no step of episode 99; carrl log ls"):
         read_trace(log, 99)
@@ -115,14 +218,19 @@ def write_log(path, transitions, **changes):
         "walls": [[[0, 0], [1, 0]]],
         "gates": [[[0, 0], [0, 1]]],
     }
-    scene = Scene(("a", "b", "c"), ("a", "b", "gate", "d"), np.zeros(7), 10.0, 0.1, 0.5, np.zeros((3, 3)), ())
-    entries = {**scene.entries(), **{key: value for key, value in changes.items() if key != "track"}}
+    parts = (ObservationPart("rays", 7, 0.0, 1.0),)
+    scene = Scene(("a", "b", "c"), ("steer",), parts, ("a", "b", "gate", "d"), np.zeros(7), 10.0, 0.1, 0.5, ())
+    entries = {**scene.entries(), **{key: value for key, value in changes.items() if key not in ("track", "gates")}}
     attachments = {"track.json": changes.get("track", json.dumps(track).encode())}
     with LogWriter(
-        path, attachments=attachments, metadata={key: value for key, value in entries.items() if value is not None}
+        path,
+        schema=make_schema(),
+        attachments=attachments,
+        metadata={key: value for key, value in entries.items() if value is not None},
     ) as writer:
         batch = transitions(4)
-        batch["track"] = torch.zeros(4, dtype=torch.int64)
+        batch["track"] = batch["next_gate"] = torch.zeros(4, dtype=torch.int64)
+        batch["next", "gates_passed"] = batch["gates_passed"] + changes.get("gates", 0)
         writer.write(batch)
         writer.write_episode(Episode(0, 0, 0, 0, 0, 10**9, 0.0, 4, 0, 0, "collision", (0.0, 0.0, 0.0)))
     return path
@@ -137,17 +245,21 @@ def test_a_log_that_tells_everything_gives_a_trace(tmp_path, transitions):
     ("changes", "words"),
     [
         ({"action_names": None}, "no entry 'action_names'"),
-        ({"action_names": '["a"]'}, "'manoeuvres' has the shape"),
         ({"sensor_angles_rad": "{"}, "'sensor_angles_rad' is not JSON"),
         ({"sensor_angles_rad": "[[1], [1, 2]]"}, "'sensor_angles_rad' is no list of numbers"),
-        ({"sensor_angles_rad": json.dumps([0.0] * 8)}, "it has 7 readings for 8 rays"),
-        ({"sensor_angles_rad": "[]"}, "it has 7 readings for 0 rays"),
+        ({"sensor_angles_rad": json.dumps([0.0] * 8)}, "it has no reading for each of 8 rays among 7 of rays"),
+        ({"sensor_angles_rad": "[]"}, "it has no reading for each of 0 rays among 7 of rays"),
         ({"reward_terms": '["gate"]'}, "column 'reward_terms' is 4 wide for 1 names"),
-        ({"action_names": '["a"]', "manoeuvres": "[[1, 0, 0]]"}, "column 'action_value' is 3 wide for 1 names"),
+        ({"action_names": '["a"]'}, "column 'action_value' is 3 wide for 1 names"),
+        ({"observation": '[["rays", 7]]'}, "'observation' does not describe one"),
+        ({"observation": '[["rays", -7, 0, 1]]'}, "'observation' has a negative width"),
+        ({"observation": '[["far", 4, 0, 1], ["rays", 7, 0, 1]]'}, "it has 7 readings for 7 rays"),
+        ({"gates": 2}, "episode 0 passed gates that its track does not have"),
+        ({"gates": -1}, "episode 0 passed gates that its track does not have"),
         ({"sensor_range_m": "-1"}, "'sensor_range_m' is -1.0; it must be positive"),
         ({"time_step_s": "NaN"}, "'time_step_s' is nan"),
         ({"body_radius_m": '"wide"'}, "'body_radius_m' is 'wide'"),
-        ({"manoeuvres": json.dumps([[math.inf] * 3] * 3)}, "'manoeuvres' has the shape [3, 3], or a value"),
+        ({"sensor_angles_rad": json.dumps([[math.inf] * 7])}, "'sensor_angles_rad' has the shape [1, 7], or a value"),
         ({"track": b"[]"}, "the attachment does not describe a track"),
         ({"track": b"{" * 100_000}, "the attachment does not describe a track"),
         (

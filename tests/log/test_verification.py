@@ -15,10 +15,12 @@ from benchmarks.log_faults.sample import read_sample
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import IntactLog, read_columns, verification, verify
 from carrl.log.codec import Batch
-from carrl.log.log_file import begin_log
-from carrl.log.mcap_index import IndexedFile
-from carrl.log.metadata import describe, with_checksum
+from carrl.log.log_file import begin_log, describe, with_checksum
+from carrl.log.mcap_read import IndexedFile
 from carrl.log.schema import CHANNELS, METADATA_NAME, TRANSITIONS
+from tests.logs import make_schema
+
+SCHEMA = make_schema()
 
 
 def record_bytes(record):
@@ -41,7 +43,7 @@ def assert_damaged(path, content, words="damaged|is unfinished|is not a|has form
 
 def write_batches(path, batches, *, run=1, metadata=None, attachments=None):
     """A finished log of these batches, as a program with errors might write it."""
-    file = begin_log(path, metadata or describe(run, 0, {}, {}), attachments or {})
+    file = begin_log(path, metadata or describe(run, 0, {}, {}), attachments or {}, make_schema())
     for number, batch in enumerate(batches):
         file.add_chunk([Message(CHANNELS[TRANSITIONS], number, batch.encode(), number, number)])
     file.finish()
@@ -88,7 +90,7 @@ def test_a_record_that_is_missing_doubled_or_elsewhere_is_noticed(log_path, kind
 
 def test_bytes_after_the_end_and_records_after_the_data_are_noticed(log_path):
     whole = log_path.read_bytes()
-    assert_damaged(log_path, whole + MCAP0_MAGIC, "the file's last records are out of order")
+    assert_damaged(log_path, whole + MCAP0_MAGIC, "8 bytes after the last record")
     end = whole.index(bytes([Opcode.DATA_END]) + (4).to_bytes(8, "little"))
     assert_damaged(log_path, whole[:end] + record_bytes(Metadata("x", {})) + whole[end:])
 
@@ -104,20 +106,20 @@ def test_a_data_section_that_does_not_end_is_noticed(log_path):
 
 def test_an_intact_record_that_the_index_does_not_tell_of_is_noticed(log_path, monkeypatch):
     walk = verification._walk
-    for kind in ("chunk", "attachment", "metadata"):
+    for kind in (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA):
         monkeypatch.setattr(verification, "_walk", lambda path, kind=kind: {**walk(path), kind: [8]})
-        with pytest.raises(DamagedLogError, match=f"its index does not tell where its {kind} records are"):
+        with pytest.raises(DamagedLogError, match=f"its index does not tell where its {kind.name.lower()} records are"):
             verify(log_path)
 
 
 def test_transitions_missing_between_two_batches_are_noticed(tmp_path, columns):
-    path = write_batches(tmp_path / "a.mcap", [Batch(1, 0, columns), Batch(1, 10, columns)])
+    path = write_batches(tmp_path / "a.mcap", [Batch(SCHEMA, 1, 0, columns), Batch(SCHEMA, 1, 10, columns)])
     with pytest.raises(DamagedLogError, match="9 transitions are followed by number 10"):
         verify(path)
 
 
 def test_messages_of_another_run_are_noticed(tmp_path, columns):
-    path = write_batches(tmp_path / "a.mcap", [Batch(1, 0, columns), Batch(2, 9, columns)])
+    path = write_batches(tmp_path / "a.mcap", [Batch(SCHEMA, 1, 0, columns), Batch(SCHEMA, 2, 9, columns)])
     with pytest.raises(DamagedLogError, match="it is of another run than the metadata"):
         verify(path)
     with pytest.raises(DamagedLogError, match="it is of another run than the metadata"):
@@ -126,13 +128,13 @@ def test_messages_of_another_run_are_noticed(tmp_path, columns):
 
 def test_another_number_of_rays_is_noticed(tmp_path, columns):
     wide = columns | {name: np.tile(columns[name], 2) for name in ("observation", "next_observation")}
-    path = write_batches(tmp_path / "a.mcap", [Batch(1, 0, columns), Batch(1, 9, wide)])
-    with pytest.raises(DamagedLogError, match="transition 9 has not as many rays as those before"):
+    path = write_batches(tmp_path / "a.mcap", [Batch(make_schema(), 1, 0, columns), Batch(make_schema(14), 1, 9, wide)])
+    with pytest.raises(DamagedLogError, match="message 1 is wrong: column 'observation' has"):
         verify(path)
 
 
 def test_metadata_of_another_run_are_noticed_by_every_reader(tmp_path, columns):
-    path = write_batches(tmp_path / "a.mcap", [Batch(1, 0, columns)])
+    path = write_batches(tmp_path / "a.mcap", [Batch(make_schema(), 1, 0, columns)])
     other = write_batches(tmp_path / "b.mcap", [], run=2).read_bytes()
     first = record_bytes(Metadata(METADATA_NAME, describe(1, 0, {}, {})))
     second = record_bytes(Metadata(METADATA_NAME, describe(2, 0, {}, {})))

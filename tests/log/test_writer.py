@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import resource
 from pathlib import Path
 
@@ -14,12 +15,14 @@ from mcap.stream_reader import StreamReader
 from carrl.errors import LogError
 from carrl.log import Log, load, read_columns, read_summary, verify
 from carrl.log import writer as writer_module
-from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS
+from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS, Column
+from carrl.log.schema import Schema as LogSchema
 from carrl.log.writer import LogWriter
+from tests.logs import make_schema
 
 
 def new_writer(path, *options, **metadata):
-    return LogWriter(path, *options, attachments={"config.yaml": b"seed: 1\n"}, metadata=metadata)
+    return LogWriter(path, *options, schema=make_schema(), attachments={"config.yaml": b"seed: 1\n"}, metadata=metadata)
 
 
 def records_on_disk(path, emit_chunks=False):
@@ -128,7 +131,7 @@ def test_an_interrupted_write_leaves_a_readable_log_of_what_was_written_before(t
         writer.flush()
         writer.write(transitions(3))
         with monkeypatch.context() as context:
-            context.setattr("carrl.log.mcap_file._write_at", interrupt)
+            context.setattr("carrl.log.mcap_write._write_at", interrupt)
             writer.flush()
     assert verify(tmp_path / "a.mcap").transitions in (3, 6)
 
@@ -145,13 +148,17 @@ def test_a_refused_batch_leaves_the_log_as_it_was(tmp_path, transitions):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("pose", None, "'pose': the transitions have no key 'pose'"),
+        ("pose", None, "'state': the transitions have no key 'pose'"),
         (("next", "reward_terms"), None, "no key ('next', 'reward_terms')"),
-        ("pose", torch.zeros(4, 2), "'pose' has shape [2] for each transition; expected [3]"),
+        ("pose", torch.zeros(4, 2), "'state' has shape [2] for each transition; expected [3]"),
         (("next", "reward"), torch.zeros(4), "'reward' has shape [] for each transition; expected [1]"),
-        ("observation", torch.zeros(4), "'observation' has shape [] for each transition; expected [O]"),
+        ("observation", torch.zeros(4), "'observation' has shape [] for each transition; expected [7]"),
         ("observation", torch.zeros(4, 7).double(), "'observation' has type float64; expected float32"),
-        (("next", "observation"), torch.zeros(4, 8), "'next_observation' has width 8; expected 7"),
+        (
+            ("next", "observation"),
+            torch.zeros(4, 8),
+            "'next_observation' has shape [8] for each transition; expected [7]",
+        ),
         ("action", torch.tensor([0, 1, 2, 2**31]), "'action' holds 0..2147483648; it must lie in -2147483648.."),
     ],
 )
@@ -170,19 +177,31 @@ def test_a_batch_that_does_not_fit_the_table_is_refused_by_column(tmp_path, tran
 def test_the_number_of_rays_must_stay_the_same_within_a_file(tmp_path, transitions):
     with new_writer(tmp_path / "a.mcap") as writer:
         writer.write(transitions(4, rays=7))
-        with pytest.raises(LogError, match=r"'observation' has shape \[9\]; the file has \[7\] so far"):
+        with pytest.raises(LogError, match=r"'observation' has shape \[9\] for each transition; expected \[7\]"):
             writer.write(transitions(4, rays=9))
 
 
-def test_a_refused_or_empty_batch_does_not_settle_the_number_of_rays(tmp_path, transitions):
-    refused = transitions(4, rays=5)
-    refused["action"] = torch.full((4,), 2**40)
-    with new_writer(tmp_path / "a.mcap") as writer:
-        with pytest.raises(LogError):
-            writer.write(refused)
-        writer.write(transitions(0, rays=6))
-        writer.write(transitions(4, rays=7))
-    assert read_summary(tmp_path / "a.mcap").row_shapes["observation"] == (7,)
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ([Column("log_prob", "log_prob", "float16")], "column 'log_prob' has type 'float16', which no log has"),
+        ([Column("Log Prob", "log_prob", "float32")], "a column is called 'Log Prob'"),
+        ([Column("count", "count", "int64")], "a column is called 'count'"),
+        ([Column("mean", "mean", "float32", (2, 2))], "column 'mean' has shape [2, 2]; it must be [] or [width]"),
+        ([Column("mean", "mean", "float32", (2,), "", ("steer",))], "column 'mean' is 2 wide for 1 names"),
+        ([Column("action", "action", "int64")], "its 18 columns have 17 names"),
+    ],
+)
+def test_columns_that_a_log_cannot_have_are_refused(tmp_path, columns, words):
+    with pytest.raises(LogError, match=re.escape(words)):
+        LogWriter(tmp_path / "a.mcap", schema=make_schema(algorithm=columns), attachments={}, metadata={})
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_a_log_has_every_column_of_the_task(tmp_path):
+    schema = LogSchema(make_schema().task[:-1], ())
+    with pytest.raises(LogError, match="it has no column 'time_ns', which every log has"):
+        LogWriter(tmp_path / "a.mcap", schema=schema, attachments={}, metadata={})
 
 
 def test_a_batch_that_is_not_flat_is_refused(tmp_path, transitions):
@@ -205,7 +224,7 @@ def test_only_the_first_cars_are_logged_if_so_configured(tmp_path, transitions):
     batch = transitions(30)
     with new_writer(tmp_path / "a.mcap", 2) as writer:
         writer.write(batch)
-    assert read_columns(tmp_path / "a.mcap")["time_ns"].tolist() == batch["time_ns"][batch["env"] < 2].tolist()
+    assert read_columns(tmp_path / "a.mcap")["time_ns"].tolist() == batch["time_ns"][batch["car"] < 2].tolist()
 
 
 def test_only_every_nth_episode_is_logged_if_so_configured(tmp_path, transitions):

@@ -8,8 +8,7 @@ import pytest
 from carrl.errors import CarrlError
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode_events import direction, episode_events
-from carrl.render.episode_geometry import driven_ways
+from carrl.render.episode import direction, driven_ways, episode_events
 
 
 def with_columns(trace, **columns):
@@ -30,10 +29,14 @@ def test_the_story_is_told_in_the_order_of_the_steps(trace):
     assert [event.level for event in episode_events(trace)] == ["info", "info", "warning", "error"]
 
 
+def passing_one_a_step(trace, before=0, **changes):
+    """The episode with a gate passed in each of its first eight steps."""
+    steps = np.arange(len(trace)).clip(max=8) + before
+    return with_columns(trace, gates_passed=steps, next_gates_passed=np.append(steps[1:], steps[-1]), **changes)
+
+
 def test_the_gate_that_completes_a_lap_says_so(trace):
-    terms = trace.columns["reward_terms"].copy()
-    terms[:8, 2] = 50
-    gates = [text for _, text in texts(with_columns(trace, reward_terms=terms)) if "gate" in text]
+    gates = [text for _, text in texts(passing_one_a_step(trace)) if "gate" in text]
     assert gates[:5] == [
         "1 gate passed",
         "2 gates passed",
@@ -41,14 +44,18 @@ def test_the_gate_that_completes_a_lap_says_so(trace):
         "4 gates passed, lap 1 complete",
         "5 gates passed",
     ]
-    assert gates[7] == "8 gates passed, lap 2 complete"
+    assert gates[7:] == ["8 gates passed, lap 2 complete"]
 
 
-def test_laps_are_not_counted_where_the_beginning_of_the_episode_is_missing(trace):
-    terms = trace.columns["reward_terms"].copy()
-    terms[:, 2] = 50
-    story = texts(with_columns(trace, reward_terms=terms, step=trace.columns["step"] + 3))
+def test_gates_are_counted_from_the_beginning_of_the_episode_though_it_is_missing(trace):
+    story = texts(passing_one_a_step(trace, before=2, step=trace.columns["step"] + 3))
     assert story[0] == (0, "episode 7 of car 2 on track square, recorded from step 3")
+    assert (1, "4 gates passed, lap 1 complete") in story
+
+
+def test_laps_are_not_counted_where_it_is_unknown_which_gates_were_passed_before(trace):
+    unknown = np.full(len(trace), -1)
+    story = texts(passing_one_a_step(trace, step=trace.columns["step"] + 3, next_gate=unknown))
     assert not any("lap" in text for _, text in story)
 
 
@@ -59,9 +66,9 @@ def test_a_stay_near_a_wall_is_told_once(trace):
     assert near == [1, 6]
 
 
-def test_a_reward_without_gates_and_proximity_tells_of_neither(trace):
+def test_a_reward_without_gates_and_proximity_tells_of_gates_alone(trace):
     plain = EpisodeTrace(dataclasses.replace(trace.scene, reward_terms=("a", "b", "c", "d")), trace.columns)
-    assert [row for row, _ in texts(plain)] == [0, 13]
+    assert [row for row, _ in texts(plain)] == [0, 7, 13]
 
 
 @pytest.mark.parametrize(

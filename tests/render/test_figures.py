@@ -6,17 +6,24 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.colors import to_rgb
-from matplotlib.patches import FancyArrowPatch
 from PIL import Image
 
 from carrl.errors import CarrlError
-from carrl.render.action_colours import action_colours
-from carrl.render.close_up import draw_close_up
-from carrl.render.curve_panel import DOT, block_centres, common_bounds
-from carrl.render.figure import BLACK, BLUE, GREEN, VERMILLION, YELLOW, new_figure, save_figure
-from carrl.render.lap import draw_lap, prevailing_actions, ray_ends, same_action_stretches
-from carrl.render.learning_curve import RunCurve, block_means, draw_learning_curve, draw_learning_curves
-from carrl.render.track_map import GATE, ROAD, draw_track_map, round_number
+from carrl.render.colours import BLACK, BLUE, GREEN, LIGHT, VERMILLION, YELLOW, rgb
+from carrl.render.curves import (
+    DOT,
+    RunCurve,
+    block_centres,
+    block_means,
+    common_bounds,
+    draw_learning_curve,
+    draw_learning_curves,
+)
+from carrl.render.figure import DPI, new_figure, save_figure
+from carrl.render.lap import draw_lap, prevailing_actions
+from carrl.render.scene import ray_ends
+from carrl.render.ticks import round_number
+from carrl.render.track_map import TrackMap, draw_track_map
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle
@@ -72,7 +79,17 @@ def draw(path, track, poses, ranges, actions, **options):
     angles = Sensor().angles.numpy()
     names = ("forward", "left", "right")
     draw_lap(
-        path, track, poses, ranges, angles, actions, action_names=names, body_radius=0.5, title="a drive", **options
+        path,
+        track,
+        poses,
+        ranges,
+        angles,
+        actions,
+        action_names=names,
+        body_radius=0.5,
+        sensor_range=10.0,
+        title="a drive",
+        **options,
     )
 
 
@@ -170,11 +187,6 @@ def test_ray_ends_by_hand():
     np.testing.assert_allclose(ends, [[1, 5], [-3, 2]], atol=1e-12)
 
 
-def test_stretches_of_one_action_by_hand():
-    assert same_action_stretches(np.array([0, 0, 1, 2, 2, 2])) == [(0, 2), (2, 3), (3, 6)]
-    assert same_action_stretches(np.array([], dtype=int)) == []
-
-
 def test_prevailing_actions_by_hand():
     actions = np.array([1, 2, 1, 0, 0, 2, 2])
     np.testing.assert_array_equal(prevailing_actions(actions, 3), [1, 1, 1, 0, 0, 0, 2])
@@ -191,8 +203,8 @@ def test_a_lap_shows_road_gates_line_rays_and_cars(tmp_path, paper, lap):
     width, height = size_of(tmp_path / "lap.png")
     assert width == 910
     assert 500 < height < 1000
-    assert pixels_of(tmp_path / "lap.png", ROAD) > 50_000
-    for colour in (*action_colours(3), GREEN, YELLOW):
+    assert pixels_of(tmp_path / "lap.png", LIGHT.road) > 50_000
+    for colour in (*LIGHT.action_colours(3), GREEN, YELLOW):
         assert pixels_of(tmp_path / "lap.png", colour) > 50
 
 
@@ -203,22 +215,23 @@ def test_an_action_that_was_never_chosen_is_in_the_legend_only(tmp_path, paper, 
     assert pixels_of(tmp_path / "both.png", BLUE) > 2 * pixels_of(tmp_path / "left.png", BLUE)
 
 
-def test_gates_are_white_lines_across_the_road(paper):
-    track_map = draw_track_map(paper, "paper")
-    track_map.figure.canvas.draw()
-    picture = np.asarray(track_map.figure.canvas.buffer_rgba())
+def test_gates_are_white_lines_across_the_road(tmp_path, paper):
+    draw_track_map(tmp_path / "map.png", paper, "paper")
+    with Image.open(tmp_path / "map.png") as image:
+        picture = np.asarray(image)
+    view = TrackMap(paper, "paper").view
     for gate in paper.gates[:-1].double().numpy():
-        x, y = track_map.axes.transData.transform(0.7 * gate[0] + 0.3 * gate[1])
-        column, row = round(x), round(picture.shape[0] - y)
-        around = picture[row - 1 : row + 2, column - 1 : column + 2, :3]
-        assert around.max() == round(255 * to_rgb(GATE)[0])
+        column, row = np.round(view.places(0.7 * gate[0] + 0.3 * gate[1]) * DPI / 72).astype(int)
+        assert picture[row - 1 : row + 2, column - 1 : column + 2].max() == rgb(LIGHT.gate).red
 
 
-def test_a_map_has_equal_scales(paper):
-    track_map = draw_track_map(paper, "paper")
-    origin, right, up = track_map.axes.transData.transform([(0, 0), (1, 0), (0, 1)])
-    assert right[0] - origin[0] == pytest.approx(up[1] - origin[1])
-    assert (right[0] - origin[0]) / track_map.figure.dpi * 72 == pytest.approx(track_map.scale)
+@pytest.mark.parametrize("ending", ["pdf", "svg"])
+def test_a_map_and_a_lap_are_drawn_as_paths_too(tmp_path, paper, lap, ending):
+    for name in ("a", "b"):
+        draw_track_map(tmp_path / f"{name}.{ending}", paper, "paper")
+    draw(tmp_path / f"lap.{ending}", paper, *lap)
+    assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
+    assert os.path.getsize(tmp_path / f"lap.{ending}") > os.path.getsize(tmp_path / f"a.{ending}") > 10_000
 
 
 def test_a_crash_ends_with_a_cross(tmp_path, paper):
@@ -233,7 +246,7 @@ def test_a_crash_ends_with_a_cross(tmp_path, paper):
 def test_the_shortest_drives(tmp_path, paper, lap, steps):
     poses, ranges, actions = lap
     draw(tmp_path / "short.png", paper, poses[:steps], ranges[:steps], actions[:steps])
-    assert pixels_of(tmp_path / "short.png", ROAD) > 50_000
+    assert pixels_of(tmp_path / "short.png", LIGHT.road) > 50_000
 
 
 def long_circuit(tmp_path):
@@ -247,12 +260,11 @@ def long_circuit(tmp_path):
 
 def test_a_long_circuit_gets_a_close_up_and_a_short_one_does_not(tmp_path, paper):
     circle = long_circuit(tmp_path)
-    places = circle.centreline.numpy()[:1]
-    track_map = draw_track_map(circle, "circle")
-    close_up = draw_close_up(track_map, circle, places)
+    track_map, places = TrackMap(circle, "circle"), circle.centreline.double().numpy()[:1]
+    close_up = track_map.close_up(places)
     assert close_up is not None
-    assert close_up.scale > 1.5 > track_map.scale
-    assert draw_close_up(draw_track_map(paper, "paper"), paper, paper.centreline.numpy()[:1]) is None
+    assert close_up.scale > 1.5 > track_map.view.scale
+    assert TrackMap(paper, "paper").close_up(paper.centreline.double().numpy()[:1]) is None
 
 
 def test_rays_are_visible_on_a_long_circuit(tmp_path):
@@ -282,11 +294,15 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_the_arrow_of_a_start_in_a_corner_points_along_the_road():
+def test_the_arrow_of_a_start_in_a_corner_points_along_the_road(tmp_path):
     points = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 50.0], [0.0, 50.0]])
     track = Track.from_centreline("square", Centreline(points, *np.full((2, 4), 4.0)))
-    patches = draw_track_map(track, "square").axes.patches
-    (tail, head) = next(patch for patch in patches if isinstance(patch, FancyArrowPatch))._posA_posB
-    way = np.subtract(head, tail)
-    assert way[0] > 0
-    assert way[1] == pytest.approx(0, abs=1e-5 * way[0])
+    draw_track_map(tmp_path / "map.png", track, "square")
+    with Image.open(tmp_path / "map.png") as image:
+        dark = np.asarray(image.convert("L")) < 100
+    # Of the rows beside the start, that of the shaft has the longest stretch of dark pixels.
+    left, top = np.round(
+        (TrackMap(track, "square").view.places(track.gates[-1].double().numpy())).mean(axis=0) * DPI / 72
+    )
+    around = dark[int(top) - 60 : int(top) + 60, int(left) - 40 : int(left) + 80]
+    assert around.sum(axis=1).max() > 35

@@ -11,10 +11,9 @@ from PIL import Image
 
 from carrl.errors import CarrlError
 from carrl.log.trace import EpisodeTrace
-from carrl.render.figure import GREEN, VERMILLION, YELLOW
-from carrl.render.video import write_video
-from carrl.render.video.colours import gif_palette
-from carrl.render.video.motion import motion_of
+from carrl.render.colours import GREEN, VERMILLION, YELLOW
+from carrl.render.encoding import gif_palette
+from carrl.render.video import motion_of, write_video
 
 av = pytest.importorskip("av", reason="videos need PyAV, which is not installed")
 
@@ -128,11 +127,9 @@ def test_on_a_large_track_the_camera_follows_the_car_and_a_small_map_shows_where
 
 def test_between_two_steps_the_car_is_on_the_arc_that_joins_them(trace):
     turn, radius = 0.5, 8.0
-    headings = turn * np.arange(STEPS)
+    headings = turn * np.arange(STEPS + 1)
     circle = np.column_stack([radius * np.sin(headings), -radius * np.cos(headings), headings])
-    chord = 2 * radius * np.sin(turn / 2)
-    scene = replace(trace.scene, manoeuvres=np.tile([chord, turn / 2, turn], (3, 1)))
-    motion = motion_of(EpisodeTrace(scene, {**trace.columns, "pose": circle}), rate=70)
+    motion = motion_of(changed(trace, state=circle[:-1], next_state=circle[1:]), rate=70)
     assert np.linalg.norm(motion.poses[:, :2], axis=1) == pytest.approx(radius)
     angles = np.unwrap(np.arctan2(motion.poses[:, 1], motion.poses[:, 0])) + np.pi / 2
     assert angles == pytest.approx(motion.poses[:, 2])
@@ -140,9 +137,9 @@ def test_between_two_steps_the_car_is_on_the_arc_that_joins_them(trace):
 
 
 def test_a_heading_that_wraps_around_turns_the_short_way(trace):
-    pose = np.array(trace.columns["pose"], dtype=np.float64)
-    pose[:2, 2] = np.pi - 0.1, -np.pi + 0.1
-    motion = motion_of(changed(trace, pose=pose), rate=20)
+    state = np.array(trace.columns["state"], dtype=np.float64)
+    state[:2, 2] = np.pi - 0.1, -np.pi + 0.1
+    motion = motion_of(changed(trace, state=state), rate=20)
     assert motion.poses[1, 2] == pytest.approx(np.pi)
 
 

@@ -4,7 +4,6 @@ import io
 import re
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +15,11 @@ from rich.console import Console
 from carrl.cli.text.log_stats_text import print_log_stats
 from carrl.errors import CarrlError, LogError
 from carrl.log.messages import Episode
-from carrl.render.figure import BLACK, BLUE, VERMILLION, YELLOW
-from carrl.render.terminal_bars import histogram
+from carrl.render.colours import BLACK, BLUE, VERMILLION, YELLOW
+from carrl.render.terminal import histogram
 from carrl.report.log_stats import LogStats, crowding, section_name, sections_at, stations_near
 from carrl.report.log_stats_figure import draw_log_stats
+from tests.operations import count_calls
 
 ACTION_COUNTS = np.array([600, 300, 100])
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], dtype=np.float64)
@@ -206,15 +206,14 @@ def test_the_colour_of_a_crash_tells_how_many_there_were(scene, tmp_path):
     assert pixels_of(tmp_path / "crowded.png", YELLOW) > 0  # of the scale below
 
 
-def test_a_hundred_thousand_episodes_take_well_under_a_second(scene):
+def test_a_hundred_thousand_episodes_are_a_few_calls_each(scene):
     generator = np.random.default_rng(0)
     ends = np.column_stack([generator.choice([0.5, 19.5], 100_000), generator.uniform(0, 20, 100_000)]).tolist()
     episodes = [episode(number, end, length=number % 200 + 1) for number, end in enumerate(ends)]
-    begin = time.process_time()
-    stats = LogStats.of(episodes, scene, ACTION_COUNTS, 0.25)
-    assert stats.crashes_by_section.sum() == 100_000
-    printed(stats)
-    assert time.process_time() - begin < 1
+    found = []
+    assert count_calls(lambda: found.append(LogStats.of(episodes, scene, ACTION_COUNTS, 0.25))) < 1_000_000
+    assert found[0].crashes_by_section.sum() == 100_000
+    assert count_calls(lambda: printed(found[0])) < 100_000
 
 
 def test_statistics_are_printed_without_torch_and_matplotlib_and_drawn_without_torch():

@@ -5,10 +5,10 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from carrl.render.figure import BLUE, VERMILLION
-from carrl.report.figures.folder import draw_figures
-from carrl.report.figures.improvement import UNDECIDED
-from carrl.report.figures.series import COLOURS, looks, short, wrapped
+from carrl.render.colours import BLUE, VERMILLION
+from carrl.report.comparison_figures import UNDECIDED
+from carrl.report.curve_figures import COLOURS, looks, short, wrapped
+from carrl.report.document import draw_figures
 from carrl.report.findings import find
 from tests.run_folders import write_run, write_sweep
 

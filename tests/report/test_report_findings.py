@@ -5,7 +5,7 @@ import json
 import pytest
 
 from carrl.errors import ConfigError
-from carrl.report.curves import lap_profiles, return_curves, score_profiles
+from carrl.report.curve_figures import lap_profiles, return_curves, score_profiles
 from carrl.report.document import as_json, groups_csv, runs_csv
 from carrl.report.findings import find
 from carrl.report.measures import FINAL_RETURN

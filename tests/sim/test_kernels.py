@@ -14,9 +14,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core import event
 from torch import Tensor
 
-from carrl.sim import kernels
 from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.kernels import Kernels
 from carrl.sim.sensor import Sensor
@@ -246,11 +246,12 @@ def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
     strided = state.map(lambda values: torch.stack([values, values], -1)[..., 0])
     assert not any(tensor.is_contiguous() for tensor in vars(strided).values())
     wide = state.map(lambda values: values.double() if values.is_floating_point() else values.int())
-    for other in (strided, wide):
-        outcome = simulator.step(other, control.double())
-        assert all(map(torch.equal, tensors(outcome), tensors(expected)))
-        assert torch.equal(simulator.sense(other), simulator.sense(state))
-    assert [len(each.dispatcher.signatures) for each in (kernels._follow, kernels._sense)] == [1, 1]
+    with event.install_recorder("numba:compile") as compilations:
+        for other in (strided, wide):
+            outcome = simulator.step(other, control.double())
+            assert all(map(torch.equal, tensors(outcome), tensors(expected)))
+            assert torch.equal(simulator.sense(other), simulator.sense(state))
+    assert not compilations.buffer
 
 
 def test_a_pose_that_is_no_number_spoils_nothing_else():
@@ -311,35 +312,50 @@ def test_a_copy_of_a_simulator_steps_like_the_original(copied):
     assert all(map(torch.equal, tensors(ours), tensors(copys)))
 
 
-SENSE_ONCE = """
-import torch
-from carrl.sim import kernels, sensor, simulator, vehicle
-from carrl.tracks import track
-car = simulator.Simulator(track.Track.load("oval"), vehicle.Vehicle(), sensor.Sensor())
-hits = sum(kernels._sense.dispatcher.stats.cache_hits.values())
-print(car.sense(simulator.CarState.at(torch.zeros(1, 3))).tolist(), hits)
+DOUBLED = """
+from carrl.sim.machine_code import compiled
+@compiled
+def doubled(value):
+    return 2 * value
+"""
+CALL_ONCE = """
+from numba.core import event
+with event.install_recorder("numba:compile") as compilations:
+    {}
+print("compiled" if compilations.buffer else "from the cache")
 """
 
 
-@pytest.mark.slow
-def test_several_processes_may_compile_at_once_and_later_ones_do_not(tmp_path: Path):
-    command = [sys.executable, "-c", SENSE_ONCE]
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    outputs = [process.communicate()[0] for process in processes]
-    later = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    ranges = Simulator(Track.load("oval"), Vehicle(), Sensor()).sense(CarState.at(torch.zeros(1, 3))).tolist()
-    assert all(output.startswith(str(ranges)) for output in [*outputs, later])
-    assert later.endswith(" 1\n")
+@pytest.fixture
+def call_doubled(tmp_path: Path) -> list[str]:
+    """A command that calls a compiled function and says whether that compiled it."""
+    (tmp_path / "module.py").write_text(DOUBLED)
+    code = CALL_ONCE.format("import module; assert module.doubled(21) == 42")
+    return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}){code}"]
 
 
-@pytest.mark.slow
-def test_without_a_folder_for_the_cache_it_compiles_all_the_same():
+def test_several_processes_may_compile_at_once_and_later_ones_do_not(call_doubled, tmp_path: Path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    processes = [subprocess.Popen(call_doubled, env=environment, stdout=subprocess.PIPE) for _ in range(2)]
+    for process in processes:
+        process.communicate()
+    later = subprocess.run(call_doubled, env=environment, capture_output=True, text=True, check=True).stdout
+    assert [process.returncode for process in processes] == [0, 0]
+    assert later == "from the cache\n"
+
+
+def test_without_a_folder_for_the_cache_it_compiles_all_the_same(call_doubled):
     environment = os.environ | {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
     environment.pop("NUMBA_CACHE_DIR", None)
-    output = subprocess.run([sys.executable, "-c", SENSE_ONCE], env=environment, capture_output=True, text=True)
-    assert (output.returncode, output.stderr) == (0, "")
-    assert output.stdout.endswith(" 0\n")
+    output = subprocess.run(call_doubled, env=environment, capture_output=True, text=True)
+    assert (output.returncode, output.stderr, output.stdout) == (0, "", "compiled\n")
+
+
+def test_a_later_process_takes_the_simulators_machine_code_from_the_cache():
+    Simulator(Track.load("oval"), Vehicle(), Sensor())
+    code = "import carrl; carrl.TrackEnv('oval', num_envs=2).rollout(3)"
+    output = subprocess.run([sys.executable, "-c", CALL_ONCE.format(code)], capture_output=True, text=True)
+    assert output.stdout == "from the cache\n"
 
 
 def test_numba_is_imported_for_a_compiled_simulator_only():

@@ -69,13 +69,13 @@ def test_a_list_holds_exactly_the_walls_within_reach_of_its_cell_and_first_those
     grid = WallGrid.build(walls, reach, touch)
     random = np.random.default_rng(0)
     for place in random.uniform(walls.min((0, 1)) - 2 * reach, walls.max((0, 1)) + 2 * reach, (300, 2)):
-        point = torch.from_numpy(place)[None]
-        distance = torch.stack([path_clearance(point, point, torch.from_numpy(wall)[None].double()) for wall in walls])
+        points = torch.from_numpy(place).expand(len(walls), 2)
+        distance = path_clearance(points, points, torch.from_numpy(walls)[:, None].double())  # of each wall
         column, row = np.floor((place - grid.low) / grid.cell_size).astype(int)
         inside = 0 <= column < grid.columns and 0 <= row < grid.rows
         begin, touching, end = grid.lists[grid.list_of_cell[row * grid.columns + column] if inside else 0]
-        assert set((distance[:, 0] <= reach).nonzero()[:, 0].tolist()) <= set(grid.entries[begin:end].tolist())
-        assert set((distance[:, 0] <= touch).nonzero()[:, 0].tolist()) <= set(grid.entries[begin:touching].tolist())
+        assert set((distance <= reach).nonzero()[:, 0].tolist()) <= set(grid.entries[begin:end].tolist())
+        assert set((distance <= touch).nonzero()[:, 0].tolist()) <= set(grid.entries[begin:touching].tolist())
         slack = 2 * math.sqrt(0.5) * grid.cell_size + 1e-3
         assert all(distance[wall] <= reach + slack for wall in grid.entries[begin:end])
         assert (end - begin) % 2 == 0

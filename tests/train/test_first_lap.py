@@ -6,21 +6,16 @@ from dataclasses import replace
 import pytest
 
 from carrl.cli.text.console import print_summaries, print_summary
-from carrl.cli.text.sweep import _figures, _result
+from carrl.cli.text.many_runs import _figures, _result
 from carrl.evaluation.results import Trial
 from carrl.evaluation.rollout import drive, rule_policy
 from carrl.report.findings import find
-from carrl.report.runs_table import runs_table
-from carrl.train.agent_run import AgentRun, FirstLap
-from carrl.train.build import build_offline_pipeline, build_pipeline
+from carrl.report.text import runs_table
+from carrl.train.build import build_pipeline
+from carrl.train.callbacks import Evaluator
 from carrl.train.folder import RunFolder
-from carrl.train.moment import Moment
-from carrl.train.objective import OBJECTIVES
-from carrl.train.offline_folder import OfflineRunFolder
-from carrl.train.offline_trainer import OfflineTrainer
-from carrl.train.summary import summarise
+from carrl.train.replicate_run import OBJECTIVES, FirstLap, ReplicateRun, TrainingStatus
 from carrl.train.trainer import Trainer
-from carrl.train.training import Training
 from tests.configs import compose
 from tests.data.logs import write_log
 from tests.run_folders import write_offline_run, write_run
@@ -43,13 +38,13 @@ def crash(lap):
 
 
 @pytest.fixture(scope="module")
-def agent():
-    """Whose network the trials are said to be of."""
-    return build_pipeline(compose("env.num_envs=1", "replay_buffer.capacity=128")).agents[0]
+def network():
+    """Which the trials are said to be of."""
+    return build_pipeline(compose("env.num_envs=1", "replay_buffer.capacity=128")).algorithm.networks[0]
 
 
 def moment(frames, updates):
-    return Moment(frames, updates, 0.1, 1.0, frames / 100)
+    return TrainingStatus(frames, updates, 1.0, frames / 100, {"epsilon": 0.1})
 
 
 EVALUATIONS = {
@@ -68,30 +63,16 @@ EVALUATIONS = {
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["in one go", "resumed after each evaluation"])
 @pytest.mark.parametrize(("trials", "first"), EVALUATIONS.values(), ids=EVALUATIONS.keys())
-def test_a_lap_counts_once_the_next_evaluation_confirms_it(trials, first, stopped, lap, crash, agent, tmp_path):
+def test_a_lap_counts_once_the_next_evaluation_confirms_it(trials, first, stopped, lap, crash, network, tmp_path):
     with RunFolder(tmp_path) as folder:
-        run = AgentRun(agent, folder)
+        run = ReplicateRun(0, network, folder)
         for number, trial in enumerate(trials, start=1):
             run.add_evaluation(crash if trial == "." else lap, moment(1000 * number, 0 if trial == "l" else number))
             if stopped:
                 state = run.state_dict()
-                run = AgentRun(agent, folder)
+                run = ReplicateRun(0, network, folder)
                 run.load_state_dict(state)
     assert run.first_lap == (None if first is None else FirstLap(0, 1000 * first, 10.0 * first))
-
-
-def test_a_state_of_an_older_version_has_no_lap_to_confirm(lap, agent, tmp_path):
-    with RunFolder(tmp_path) as folder:
-        run = AgentRun(agent, folder)
-        run.add_evaluation(lap, moment(1000, 1))
-        state = run.state_dict()
-        del state["unconfirmed_lap"]
-        older = AgentRun(agent, folder)
-        older.load_state_dict(state)
-        older.add_evaluation(lap, moment(2000, 2))
-        assert older.first_lap is None
-        older.add_evaluation(lap, moment(3000, 3))
-        assert older.first_lap.frame == 2000
 
 
 def test_agents_side_by_side_confirm_their_own_laps(lap, crash, tmp_path, monkeypatch):
@@ -106,32 +87,32 @@ def test_agents_side_by_side_confirm_their_own_laps(lap, crash, tmp_path, monkey
         evaluations += 1
         return [lap, lap if evaluations in (7, 8, 10, 11) else crash]
 
-    monkeypatch.setattr(Training, "_drive", trials_of_two)
+    monkeypatch.setattr(Evaluator, "drive", trials_of_two)
     with ExitStack() as stack:
         for seed in (0, 1):
             (tmp_path / str(seed)).mkdir()
         trainer = Trainer(pipeline, [stack.enter_context(RunFolder(tmp_path / str(seed))) for seed in (0, 1)])
         trainer.run(lambda _: None)
     assert [run.first_lap.frame for run in trainer.runs] == [128, 160]
-    assert summarise(trainer.runs[1], trainer)["first_lap"].keys() == {"episode", "frame", "wall_time_s"}
+    assert trainer.summaries()[1]["first_lap"].keys() == {"episode", "frame", "wall_time_s"}
 
 
 def test_a_network_that_learnt_from_logs_is_driven_once_and_has_no_first_lap(lap, tmp_path, monkeypatch):
     log = write_log(tmp_path / "train.mcap")
     settings = [f"data.path={log}", "data.updates=2", "replay_buffer.batch_size=4", "track=oval"]
-    pipeline = build_offline_pipeline(compose("data=log", *settings))
-    monkeypatch.setattr(Training, "_drive", lambda *_: [lap])
-    with OfflineRunFolder(tmp_path / "run") as folder:
-        trainer = OfflineTrainer(pipeline, [folder])
+    pipeline = build_pipeline(compose("data=log", *settings))
+    monkeypatch.setattr(Evaluator, "drive", lambda *_: [lap])
+    with RunFolder(tmp_path / "run") as folder:
+        trainer = Trainer(pipeline, [folder])
         trainer.run(lambda _: None)
-    summary = summarise(trainer.runs[0], trainer)
+    (summary,) = trainer.summaries()
     assert (summary["first_lap"], summary["evaluation"]["lap_completed"]) == (None, True)
 
 
-def test_a_trial_of_a_search_is_settled_by_a_confirmed_lap_only(lap, agent, tmp_path):
+def test_a_trial_of_a_search_is_settled_by_a_confirmed_lap_only(lap, network, tmp_path):
     objective = OBJECTIVES["first_lap"]
     with RunFolder(tmp_path) as folder:
-        run = AgentRun(agent, folder)
+        run = ReplicateRun(0, network, folder)
         run.add_evaluation(lap, moment(1000, 1))
         assert (objective.is_settled([run]), objective.value([run], 4000)) == (False, 4000.0)
         run.add_evaluation(lap, moment(2000, 2))

@@ -8,11 +8,12 @@ import pytest
 import torch
 from torch.fx.experimental.proxy_tensor import make_fx
 
+from carrl.algorithms.common.native import CompilationError, _fingerprint
+from carrl.algorithms.common.package_cache import cache_dir
+from carrl.algorithms.dqn.dqn import DQN
 from carrl.data.replay_buffer import KEYS
 from carrl.train.build import build_pipeline
 from carrl.train.learner import Learner
-from carrl.train.native import CompilationError, _fingerprint
-from carrl.train.package_cache import cache_dir
 from tests.configs import compose
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
@@ -23,10 +24,10 @@ def make_pipeline(*overrides):
     soft = any(override.startswith("target_updater=") for override in overrides)
     period = [] if soft else ["target_updater.period=50"]
     pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", *period, *overrides))
-    agents = len(pipeline.agents)
-    for _, batch in zip(range(25), pipeline.collector, strict=False):
+    agents = len(pipeline.algorithm.replicates)
+    for _, batch in zip(range(25), pipeline.source.collector, strict=False):
         transitions = batch.view(agents, -1, 1).permute(2, 1, 0).select(*KEYS)
-        kept = transitions if pipeline.returns is None else pipeline.returns(transitions)
+        kept = transitions if pipeline.source.returns is None else pipeline.source.returns(transitions)
         if len(kept):
             pipeline.replay_buffer.extend(kept.flatten(0, 1))
     return pipeline
@@ -54,7 +55,7 @@ def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
     eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
     torch.testing.assert_close(updated(compiled), updated(eager), rtol=1e-5, atol=0)
     assert not any("eagerly" in message for message in messages(caplog))
-    for ours, theirs in zip(compiled.agents, eager.agents, strict=True):
+    for ours, theirs in zip(compiled.algorithm.replicates, eager.algorithm.replicates, strict=True):
         for name in ("value_network_params", "target_value_network_params"):
             tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
             for fused, plain in zip(*tensors, strict=True):
@@ -62,9 +63,9 @@ def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
 
 
 EVERYTHING = (
-    ("network=noisy", "replay_buffer=prioritized", "returns=n_step", "target_updater=soft"),
-    ("loss=distributional", "gradient_clipping=norm", "learning_rate=linear", "learning_rate.updates=100"),
-    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping=norm"),
+    ("network=noisy", "replay_buffer=prioritized", "returns.steps=3", "target_updater=soft"),
+    ("loss=distributional", "gradient_clipping.max_norm=10", "learning_rate=linear", "learning_rate.updates=100"),
+    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping.max_norm=10"),
     ("loss=advantage_learning", "replay_buffer=prioritized"),
 )
 
@@ -87,7 +88,11 @@ def test_whatever_an_update_is_made_with_together_and_alone_the_weights_are_the_
     for index, seed in enumerate((1, 2)):
         alone = make_pipeline(*overrides, f"seed={seed}")
         alone.learner.learn(5)
-        pairs = zip(together.agents[index].network.parameters(), alone.agents[0].network.parameters(), strict=True)
+        pairs = zip(
+            together.algorithm.networks[index].parameters(),
+            alone.algorithm.networks[0].parameters(),
+            strict=True,
+        )
         assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
 
 
@@ -100,7 +105,11 @@ def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit():
     for index, seed in enumerate((1, 2)):
         alone = make_pipeline("loss=double_dqn", f"seed={seed}", "compile=true")
         alone.learner.learn(200)
-        pairs = zip(together.agents[index].network.parameters(), alone.agents[0].network.parameters(), strict=True)
+        pairs = zip(
+            together.algorithm.networks[index].parameters(),
+            alone.algorithm.networks[0].parameters(),
+            strict=True,
+        )
         assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
 
 
@@ -139,7 +148,7 @@ def test_an_interrupted_compilation_is_not_replaced_by_eager_updates(becomes, mo
                 raise CompilationError("RuntimeError: a tensordict has no truth value") from None
         return list
 
-    monkeypatch.setattr("carrl.train.native_update.compile_native", compile_interrupted)
+    monkeypatch.setattr("carrl.algorithms.common.compiled_update.compile_native", compile_interrupted)
     learner.interrupt()  # there is no compilation yet
     with pytest.raises(KeyboardInterrupt):
         learner.learn(8)
@@ -157,13 +166,17 @@ def test_an_interrupted_compilation_is_not_replaced_by_eager_updates(becomes, mo
 )
 def test_another_optimizer_than_plain_adam_runs_eagerly(optimizer, reason, caplog):
     pipeline = make_pipeline()
-    (agent,) = pipeline.agents
-    agent = replace(agent, optimizer=optimizer(list(agent.loss.parameters())))
-    before = [parameter.clone() for parameter in agent.network.parameters()]
-    Learner([agent], pipeline.replay_buffer, compiled=True).learn(3)
+    (replicate,) = pipeline.algorithm.replicates
+    replicate = replace(replicate, optimizer=optimizer(list(replicate.loss.parameters())))
+    before = [parameter.clone() for parameter in replicate.network.parameters()]
+    Learner(
+        DQN([replicate], pipeline.algorithm.exploration, pipeline.world.action.names),
+        pipeline.replay_buffer,
+        compiled=True,
+    ).learn(3)
     (message,) = messages(caplog)
     assert reason in message
-    assert any((a != b).any() for a, b in zip(before, agent.network.parameters(), strict=True))
+    assert any((a != b).any() for a, b in zip(before, replicate.network.parameters(), strict=True))
 
 
 def test_compiled_code_is_told_apart_by_every_constant_and_shape():

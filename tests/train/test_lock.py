@@ -10,8 +10,7 @@ import time
 import pytest
 
 from carrl.errors import CarrlError
-from carrl.train.lock import LOCK, locked
-from carrl.train.new_folder import make_new
+from carrl.train.new_folder import LOCK, locked, make_new
 
 
 def hold(folder, ready):

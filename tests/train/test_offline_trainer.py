@@ -11,11 +11,11 @@ import torch
 from carrl.errors import CarrlError, ConfigError
 from carrl.sim.simulator import Simulator
 from carrl.task.task import Task
-from carrl.train.build import build_offline_pipeline, learns_from_logs
+from carrl.train.build import build_pipeline, learns_from_logs
 from carrl.train.checkpoint import load_checkpoint
-from carrl.train.offline_folder import OfflineRunFolder
-from carrl.train.offline_trainer import OfflineTrainer
+from carrl.train.folder import RunFolder
 from carrl.train.plan import OfflinePlan
+from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.data.logs import logged_transitions, write_log
 
@@ -30,21 +30,21 @@ def log_path(tmp_path_factory):
 
 def build(log_path, *overrides):
     paths = [f"data.path={log_path}", "data.updates=20", "replay_buffer.batch_size=4", "track=oval"]
-    return build_offline_pipeline(compose("data=log", *paths, *overrides))
+    return build_pipeline(compose("data=log", *paths, *overrides))
 
 
 def train(pipeline, folder, on_round=lambda _: None):
     """A finished trainer; with several agents their folders are named after their seeds."""
     with ExitStack() as stack:
-        seeds = [agent.seed for agent in pipeline.agents]
+        seeds = [agent.seed for agent in pipeline.algorithm.replicates]
         paths = [folder / str(seed) if len(seeds) > 1 else folder for seed in seeds]
-        trainer = OfflineTrainer(pipeline, [stack.enter_context(OfflineRunFolder(path)) for path in paths])
+        trainer = Trainer(pipeline, [stack.enter_context(RunFolder(path)) for path in paths])
         trainer.run(on_round)
     return trainer
 
 
 def parameters(pipeline, agent=0):
-    return torch.cat([parameter.detach().flatten() for parameter in pipeline.agents[agent].network.parameters()])
+    return torch.cat([parameter.detach().flatten() for parameter in pipeline.algorithm.networks[agent].parameters()])
 
 
 def read_rows(path):
@@ -79,7 +79,7 @@ def test_no_simulator_is_touched_before_everything_is_learnt(log_path, tmp_path,
 
 def test_there_are_as_many_updates_as_asked_for_and_the_target_follows_each_period(log_path, tmp_path):
     pipeline = build(log_path, "data.updates=20", "target_updater.period=8")
-    (agent,) = pipeline.agents
+    (agent,) = pipeline.algorithm.replicates
     copies, original = [], agent.target_updater.step
 
     def watched_step(count):
@@ -114,10 +114,11 @@ def test_metrics_tell_how_learning_goes_and_the_last_network_is_the_result(log_p
         state = load_checkpoint(tmp_path / "checkpoints" / f"{name}.pt")
         assert (state["frames"], state["episodes"]) == (0, 0)
         assert all(
-            torch.equal(state["network"][key], value) for key, value in pipeline.agents[0].network.state_dict().items()
+            torch.equal(state["network"][key], value)
+            for key, value in pipeline.algorithm.networks[0].state_dict().items()
         )
     (run,) = trainer.runs
-    assert run.best is run.last
+    assert run.best.measures() == run.last.measures()
     (drive,) = read_rows(tmp_path / "evaluations.csv")
     assert drive["frames"] == "0"
 
@@ -125,7 +126,7 @@ def test_metrics_tell_how_learning_goes_and_the_last_network_is_the_result(log_p
 def test_the_measures_are_means_over_the_logged_transitions(log_path, tmp_path):
     pipeline = build(log_path, "data.updates=1", "trainer.seeds=[0,1]")
     train(pipeline, tmp_path)
-    for index, agent in enumerate(pipeline.agents):
+    for index, agent in enumerate(pipeline.algorithm.replicates):
         (row,) = read_rows(tmp_path / str(agent.seed) / "metrics.csv")
         stored = pipeline.replay_buffer[:][:, index]
         with torch.no_grad():
@@ -213,7 +214,7 @@ def test_200_compiled_updates_with_cql_equal_200_eager_ones(log_path, caplog):
         compiled.learner.learn(1)
         torch.testing.assert_close(compiled.learner.losses, eager.learner.losses, rtol=1e-5, atol=0)
     assert not any("eagerly" in record.message for record in caplog.records)
-    for ours, theirs in zip(compiled.agents, eager.agents, strict=True):
+    for ours, theirs in zip(compiled.algorithm.replicates, eager.algorithm.replicates, strict=True):
         for name in ("value_network_params", "target_value_network_params"):
             tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
             for fused, plain in zip(*tensors, strict=True):

@@ -14,6 +14,7 @@ from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
+from carrl.train.provenance import log_schema
 from carrl.train.trainer import Trainer
 from tests.configs import compose
 
@@ -24,10 +25,11 @@ def train(folder, *overrides):
     pipeline = build_pipeline(config)
     with ExitStack() as stack:
         folders = []
-        for agent in pipeline.agents:
-            path = folder / str(agent.seed) if len(pipeline.agents) > 1 else folder
+        schema = log_schema(pipeline.source.env, pipeline.algorithm.log_columns)
+        for agent in pipeline.algorithm.replicates:
+            path = folder / str(agent.seed) if len(pipeline.algorithm.replicates) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)
-            recorder = LogWriter(path / "train.mcap", attachments={}, metadata={})
+            recorder = LogWriter(path / "train.mcap", schema=schema, attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
         trainer.run(lambda _: None)
@@ -41,7 +43,7 @@ def read_rows(path):
 
 
 def parameters(pipeline, agent=0):
-    network = pipeline.agents[agent].network
+    network = pipeline.algorithm.networks[agent]
     return torch.cat([parameter.detach().flatten() for parameter in network.parameters()])
 
 
@@ -57,7 +59,7 @@ def test_there_is_one_update_per_env_step_once_the_buffer_holds_a_batch(tmp_path
 def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs):
     limits = ("trainer.frames=350", "evaluation.interval=1000")
     pipeline = build_pipeline(compose(f"env.num_envs={num_envs}", "target_updater.period=100", *limits))
-    agent = pipeline.agents[0]
+    agent = pipeline.algorithm.replicates[0]
     steps, copies = [], []
     original = agent.target_updater.step
 
@@ -92,7 +94,7 @@ def test_the_log_tells_episodes_apart(tmp_path):
     for number in log["episode"].unique().tolist():
         episode = log[log["episode"] == number]
         assert torch.equal(episode["step"], torch.arange(len(episode)))
-        assert len(episode["env"].unique()) == 1
+        assert len(episode["car"].unique()) == 1
         assert not episode["next", "done"][:-1].any()
     assert int(log["next", "done"].sum()) == trainer.runs[0].episodes
     with (tmp_path / "metrics.csv").open() as file:
@@ -141,7 +143,7 @@ def test_two_agents_side_by_side_train_as_each_would_alone(tmp_path, random_star
 def test_an_agent_that_is_done_leaves_the_others_to_go_on(tmp_path):
     limits = ("trainer.episodes=8", "trainer.frames=100000", "env.num_envs=1")
     trainer, _ = train(tmp_path / "both", *limits, "trainer.seeds=[0,1]")
-    frames = [run.moment.frames for run in trainer.runs]
+    frames = [run.status.frames for run in trainer.runs]
     assert [run.episodes for run in trainer.runs] == [8, 8]
     assert frames[0] != frames[1]
     for seed, count in enumerate(frames):
@@ -217,7 +219,7 @@ CIRCUITS = ("track=circuits", "track.count=3", "track.validation=2", "evaluation
 def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploration(tmp_path):
     trainer, pipeline = train(tmp_path, *CIRCUITS, "start.anywhere=true")
     assert set(load(tmp_path / "train.mcap")["track"].tolist()) == {0, 1, 2}
-    names = [track.name for track in pipeline.env.tracks]
+    names = [track.name for track in pipeline.source.env.tracks]
     assert names == ["random-1000", "random-1001", "random-1002"]
     assert [track.name for track in pipeline.world.circuits.validation] == ["random-1003", "random-1004"]
     (run,) = trainer.runs

@@ -16,6 +16,19 @@ _EPSILON = 1e-6
 """What `torch.nn.utils.clip_grad_norm_` adds to a norm before it divides by it."""
 
 
+def make_gradient_clipping(max_norm: float | None) -> "GradientClipping | None":
+    """What scales a gradient that is too large down, each replicate's for itself; None for no limit, as in the paper.
+
+    Args:
+        max_norm: of the gradient over all parameters, such as 10, which most exceed in an ordinary run with the squared
+            TD error; None for no limit.
+
+    Raises:
+        ConfigError: the limit is not positive.
+    """
+    return None if max_norm is None else GradientClipping(max_norm)
+
+
 @dataclass(frozen=True)
 class GradientClipping:
     """Scales a gradient down where its norm over all parameters exceeds a limit.

@@ -1,6 +1,6 @@
 """The action-value networks.
 
-Shapes: `N` cars or transitions, `R` rays.
+Shapes: `N` cars or transitions, `O` values of an observation, `K` actions.
 """
 
 import math
@@ -31,6 +31,23 @@ class Power(nn.Module):
         return values**self.exponent
 
 
+class QNetwork(QValueActor):
+    """Layers that value every action, and the action of the highest value.
+
+    Reads `observation` [N, O]; writes `action_value` [N, K], `chosen_action_value` [N, 1] and the greedy `action` [N],
+    int64.
+    """
+
+    def __init__(self, layers: nn.Module) -> None:
+        super().__init__(layers, in_keys=["observation"], action_space="categorical")
+
+    @property
+    def layers(self) -> nn.Module:
+        """From observations to values."""
+        layers: nn.Module = self.module[0].module
+        return layers
+
+
 def make_q_network(
     hidden_sizes: Sequence[int],
     input_exponent: float = 1.0,
@@ -38,12 +55,11 @@ def make_q_network(
     observation_size: int,
     action_count: int,
     generator: torch.Generator,
-) -> QValueActor:
+) -> QNetwork:
     """A ReLU network with a linear output that picks the action of the highest value.
 
-    Reads `observation` [N, R]; writes `action_value` [N, 3], `chosen_action_value` [N, 1] and the greedy `action`
-    [N], int64. Weights are He-initialised
-    (uniform, gain of ReLU) and biases start at zero: with torch's default fewer runs learn to lap (docs/paper.md).
+    Weights are He-initialised (uniform, gain of ReLU) and biases start at zero: with torch's default fewer runs learn
+    to lap (docs/paper.md).
 
     Readings of a sensor that sees far are small where it matters, near the walls; an `input_exponent` of less than 1
     spreads them: at 0.5 a hundredth of the range becomes a tenth.
@@ -61,7 +77,7 @@ def make_q_network(
         activation_class=nn.ReLU,
     )
     initialise(mlp, generator)
-    return QValueActor(on_powers(mlp, input_exponent), in_keys=["observation"], action_space="categorical")
+    return QNetwork(on_powers(mlp, input_exponent))
 
 
 def make_dueling_network(
@@ -71,7 +87,7 @@ def make_dueling_network(
     observation_size: int,
     action_count: int,
     generator: torch.Generator,
-) -> QValueActor:
+) -> QNetwork:
     """A network that values the situation and, beside it, how much better each action is than their mean.
 
     Both streams have a hidden layer of their own, of the last of the sizes, and share all layers before. What it reads
@@ -101,7 +117,7 @@ def make_dueling_network(
         mlp_kwargs_output={"in_features": joint, "num_cells": [stream], "activation_class": nn.ReLU},
     )
     initialise(layers, generator)
-    return QValueActor(on_powers(layers, input_exponent), in_keys=["observation"], action_space="categorical")
+    return QNetwork(on_powers(layers, input_exponent))
 
 
 def make_noisy_network(
@@ -112,7 +128,7 @@ def make_noisy_network(
     observation_size: int,
     action_count: int,
     generator: torch.Generator,
-) -> QValueActor:
+) -> QNetwork:
     """A ReLU network whose weights are disturbed by noise of a strength that is learnt, while it explores and learns.
 
     What it reads and writes is as in `make_q_network`; the noise is drawn by
@@ -141,7 +157,7 @@ def make_noisy_network(
             layer.bias_mu.data.uniform_(-bound, bound, generator=generator)
             layer.weight_epsilon.zero_()  # TorchRL drew them from torch's own generator
             layer.bias_epsilon.zero_()
-    return QValueActor(on_powers(mlp, input_exponent), in_keys=["observation"], action_space="categorical")
+    return QNetwork(on_powers(mlp, input_exponent))
 
 
 def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
@@ -158,7 +174,7 @@ def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
     return nn.Sequential(Power(input_exponent), *following)
 
 
-def is_dueling(network: QValueActor) -> bool:
+def is_dueling(network: QNetwork) -> bool:
     """Whether `make_dueling_network` made it."""
     return any(isinstance(module, DuelingMlpDQNet) for module in network.modules())
 

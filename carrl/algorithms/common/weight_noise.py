@@ -10,8 +10,10 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType
-from torchrl.modules import NoisyLinear, QValueActor
+from torchrl.modules import NoisyLinear
 from torchrl.objectives import DQNLoss
+
+from carrl.algorithms.common.network import QNetwork
 
 
 class WeightNoise:
@@ -28,7 +30,7 @@ class WeightNoise:
         generator: on the CPU.
     """
 
-    def __init__(self, network: QValueActor, loss: DQNLoss, generator: torch.Generator) -> None:
+    def __init__(self, network: QNetwork, loss: DQNLoss, generator: torch.Generator) -> None:
         """Draws for the first time."""
         names = [name for name, layer in network.named_modules() if isinstance(layer, NoisyLinear)]
         acting = [network.get_submodule(name) for name in names]

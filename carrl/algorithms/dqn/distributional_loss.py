@@ -6,15 +6,15 @@ Shapes: `N` transitions, `K` atoms, the returns whose probabilities are predicte
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
+from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.dqn.loss import set_discount
 from carrl.algorithms.dqn.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
 
 
-def make_distributional_loss(gamma: float, double_dqn: bool, *, network: QValueActor) -> "DistributionalLoss":
+def make_distributional_loss(gamma: float, double_dqn: bool, *, network: QNetwork) -> "DistributionalLoss":
     """The cross entropy between the predicted returns and those that a target network expects after the transition.
 
     Raises:
@@ -71,7 +71,7 @@ class DistributionalLoss(DQNLoss):
 
     def _log_probabilities(self, transitions: TensorDictBase, parameters: TensorDictBase) -> Tensor:
         with parameters.to_module(self.value_network, preserve_module_state=False):
-            return self.value_network.module[0].module.log_probabilities(transitions["observation"])
+            return self.value_network.layers.log_probabilities(transitions["observation"])
 
 
 def _of_action(values: Tensor, action: Tensor) -> Tensor:

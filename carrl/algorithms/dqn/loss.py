@@ -8,10 +8,9 @@ from typing import Any, Literal, TypeVar
 
 from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
-from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
-from carrl.algorithms.common.network import is_dueling
+from carrl.algorithms.common.network import QNetwork, is_dueling
 from carrl.algorithms.dqn.return_distribution import predicts_distribution
 from carrl.errors import ConfigError
 
@@ -23,7 +22,7 @@ def make_dqn_loss(
     loss_function: Literal["l2", "smooth_l1"],
     double_dqn: bool,
     *,
-    network: QValueActor,
+    network: QNetwork,
 ) -> DQNLoss:
     """The squared (or smooth L1) TD error against a target network of its own.
 
@@ -44,7 +43,7 @@ def make_dueling_loss(
     loss_function: Literal["l2", "smooth_l1"],
     double_dqn: bool,
     *,
-    network: QValueActor,
+    network: QNetwork,
 ) -> DQNLoss:
     """The loss of `make_dqn_loss` for a dueling network, and for no other.
 
@@ -62,7 +61,7 @@ def make_cql_loss(
     double_dqn: bool,
     alpha: float,
     *,
-    network: QValueActor,
+    network: QNetwork,
 ) -> "ConservativeDQNLoss":
     """The loss of `make_dqn_loss` plus `alpha` times how far the actions in all are valued above the one taken.
 
@@ -89,7 +88,7 @@ class ConservativeDQNLoss(DQNLoss):
         options: of `DQNLoss`.
     """
 
-    def __init__(self, network: QValueActor, *, alpha: float, **options: Any) -> None:
+    def __init__(self, network: QNetwork, *, alpha: float, **options: Any) -> None:
         super().__init__(network, **options)
         self.alpha = alpha
 
@@ -111,7 +110,7 @@ def make_advantage_learning_loss(
     double_dqn: bool,
     alpha: float,
     *,
-    network: QValueActor,
+    network: QNetwork,
 ) -> "AdvantageLearningLoss":
     """The loss of `make_dqn_loss`, in which an action that the target network values below the best one earns less.
 
@@ -140,7 +139,7 @@ class AdvantageLearningLoss(DQNLoss):
         options: of `DQNLoss`.
     """
 
-    def __init__(self, network: QValueActor, *, alpha: float, **options: Any) -> None:
+    def __init__(self, network: QNetwork, *, alpha: float, **options: Any) -> None:
         super().__init__(network, **options)
         self.alpha = alpha
 
@@ -166,7 +165,7 @@ def _action_values(loss: DQNLoss, parameters: TensorDictParams, tensordict: Tens
 
 
 def _make(
-    kind: type[_Loss], network: QValueActor, gamma: float, loss_function: str, double_dqn: bool, **own: float
+    kind: type[_Loss], network: QNetwork, gamma: float, loss_function: str, double_dqn: bool, **own: float
 ) -> _Loss:
     """A loss of this kind on values that are points; `own` are the kind's own weights."""
     if predicts_distribution(network):

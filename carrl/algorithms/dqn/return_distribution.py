@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
-from torchrl.modules import MLP, QValueActor
+from torchrl.modules import MLP
 
-from carrl.algorithms.common.network import check_hidden_sizes, initialise, on_powers
+from carrl.algorithms.common.network import QNetwork, check_hidden_sizes, initialise, on_powers
 from carrl.errors import ConfigError
 
 
@@ -48,7 +48,7 @@ def make_distributional_network(
     observation_size: int,
     action_count: int,
     generator: torch.Generator,
-) -> QValueActor:
+) -> QNetwork:
     """A network of `ReturnDistribution`; beside the values it reads and writes what `make_q_network` does.
 
     Raises:
@@ -71,9 +71,9 @@ def make_distributional_network(
     initialise(mlp, generator)
     support = torch.linspace(least_return, greatest_return, atoms)
     distribution = ReturnDistribution(on_powers(mlp, input_exponent), support)
-    return QValueActor(distribution, in_keys=["observation"], action_space="categorical")
+    return QNetwork(distribution)
 
 
-def predicts_distribution(network: QValueActor) -> bool:
+def predicts_distribution(network: QNetwork) -> bool:
     """Whether the network is one of these."""
-    return isinstance(network.module[0].module, ReturnDistribution)
+    return isinstance(network.layers, ReturnDistribution)

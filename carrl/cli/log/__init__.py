@@ -3,11 +3,11 @@
 import argparse
 import sys
 
-from carrl.cli.log import cat, check, export, info, ls, recover, replay, show, stats
+from carrl.cli.log import cat, export, info, integrity, ls, show, stats
 from carrl.cli.parser import Parser
 
-VERBS = (info, ls, show, stats, cat, check, recover, export, replay)
-"""In the order in which they are listed; each adds itself to the command line."""
+VERBS = (info, ls, show, stats, cat, integrity, export)
+"""Modules in the order in which their verbs are listed; each adds its own to the command line."""
 
 
 def main(argv: list[str]) -> int:

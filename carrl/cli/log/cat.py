@@ -7,16 +7,28 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_json, add_selection, add_verb, selection_of, whole_number
-from carrl.cli.log.printable import printable
-from carrl.cli.log.terminal import counted, json_text
-from carrl.cli.log.transition_rows import transition_rows
+from carrl.cli.log.shared import (
+    Verbs,
+    add_json,
+    add_selection,
+    add_verb,
+    counted,
+    json_text,
+    selection_of,
+    transition_rows,
+    whole_number,
+)
 from carrl.errors import DamagedLogError, LogError
+from carrl.log.codec import EVERYTHING, Selection
 from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
 from carrl.log.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
-from carrl.log.selection import EVERYTHING, Selection
 from carrl.log.trace import read_scene
+from carrl.printable import printable
+
+_LABELS = {"action_value": "Q"}
+_UNSHOWN = ("epsilon", "exploratory")
+"""Columns of the algorithm that have no place of their own in a line."""
 
 
 def add_to(verbs: Verbs) -> None:
@@ -46,15 +58,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _json_lines(log: Log, topic: str, selection: Selection) -> Iterator[str]:
     if topic == TRANSITIONS:
-        return (json_text(row) for columns in log.batches(selection) for row in transition_rows(columns))
+        return (json_text(row) for columns in log.batches(selection) for row in transition_rows(columns, log.schema))
     return (json_text(message._asdict()) for message in _small_messages(log, topic, selection))
 
 
 def _text_lines(log: Log, topic: str, selection: Selection) -> Iterator[str]:
     if topic == TRANSITIONS:
-        actions = _action_names(log)
-        rows = (row for columns in log.batches(selection) for row in transition_rows(columns))
-        return (_transition_line(row, actions) for row in rows)
+        actions, names = _action_names(log), [column.name for column in log.schema.algorithm]
+        rows = (row for columns in log.batches(selection) for row in transition_rows(columns, log.schema))
+        return (_transition_line(row, actions, names) for row in rows)
     return (
         _episode_line(message) if isinstance(message, Episode) else _metrics_line(message)
         for message in _small_messages(log, topic, selection)
@@ -90,17 +102,23 @@ def _action_names(log: Log) -> Sequence[str]:
         return []
 
 
-def _transition_line(row: dict[str, Any], actions: Sequence[str]) -> str:
-    number = row["action"]
-    action = actions[number] if 0 <= number < len(actions) else f"action {number}"
-    x, y, heading = row["pose"]
+def _transition_line(row: dict[str, Any], actions: Sequence[str], algorithm: Sequence[str]) -> str:
+    x, y, heading = row["state"][:3]
     end = "  terminated" * row["terminated"] + "  truncated" * row["truncated"]
+    others = [f"  {_LABELS.get(name, name)} {_joined(row[name], '.1f')}" for name in algorithm if name not in _UNSHOWN]
     return (
-        f"{row['time_ns'] / 1e9:.2f} s  episode {row['episode']} step {row['step']} car {row['env']}  "
-        f"{action}{' (random)' * row['exploratory']}  reward {row['reward']:g}  "
+        f"{row['time_ns'] / 1e9:.2f} s  episode {row['episode']} step {row['step']} car {row['car']}  "
+        f"{_action(row['action'], actions)}{' (random)' * row.get('exploratory', False)}  reward {row['reward']:g}  "
         f"at {x:.2f} {y:.2f} heading {math.degrees(heading):.0f}°  "
-        f"observed {_joined(row['observation'], '.2f')}  Q {_joined(row['action_value'], '.1f')}{end}"
+        f"observed {_joined(row['observation'], '.2f')}{''.join(others)}{end}"
     )
+
+
+def _action(action: Any, names: Sequence[str]) -> str:
+    """Its name, or the controls that it is."""
+    if not isinstance(action, int):
+        return f"action {_joined(action, '.2f')}"
+    return names[action] if 0 <= action < len(names) else f"action {action}"
 
 
 def _episode_line(episode: Episode) -> str:
@@ -120,5 +138,5 @@ def _metrics_line(metrics: Metrics) -> str:
     )
 
 
-def _joined(values: Sequence[float], how: str) -> str:
-    return " ".join(format(value, how) for value in values)
+def _joined(values: float | Sequence[float], how: str) -> str:
+    return " ".join(format(value, how) for value in (values if isinstance(values, list) else [values]))

@@ -7,12 +7,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb
-from carrl.cli.log.terminal import print_json
-from carrl.log import LogSummary, read_summary
-from carrl.log.metadata import ATTACHMENT, CHECKSUM
+from carrl.cli.log.shared import Verbs, add_json, add_verb, print_json
+from carrl.log import Column, LogSummary, read_summary, version2
+from carrl.log.log_file import ATTACHMENT, CHECKSUM
 from carrl.log.scene import Scene
-from carrl.log.schema import COLUMNS
 
 _RUN = {"seed": "seed", "track": "track", "num_envs": "cars", "git_commit": "commit"}
 """Entries of the metadata that the first table shows, and what it calls them."""
@@ -35,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _document(summary: LogSummary) -> dict[str, Any]:
-    scene = _scene(summary.metadata)
+    scene = _scene(summary.scene_entries)
     document = dataclasses.asdict(summary) | {
         "path": str(summary.path),
         "part": _parsed(summary.metadata, "part", int),
@@ -45,22 +43,23 @@ def _document(summary: LogSummary) -> dict[str, Any]:
         "packages": _parsed(summary.metadata, "packages", dict),
         "sensors": scene and {"angles_rad": scene.sensor_angles.tolist(), "range_m": scene.sensor_range},
     }
-    shapes = document.pop("row_shapes")
-    document["columns"] = {c.name: {"dtype": c.dtype, "shape": shapes[c.name]} for c in COLUMNS}
+    del document["schema"], document["scene_entries"]
+    document["columns"] = {column.pop("name"): column for column in json.loads(summary.schema.as_json())}
+    document["lacks"] = version2.LACKS if summary.format_version == version2.VERSION else None
     return document
 
 
 def _print_tables(summary: LogSummary) -> None:
-    from carrl.cli.log.console import print_table
+    from carrl.cli.text.terminal_table import print_table
 
-    columns = [(c.name, c.dtype, str(list(summary.row_shapes[c.name])), c.meaning) for c in COLUMNS]
+    columns = [(c.name, c.dtype, str(list(c.shape)), _meaning(c)) for c in summary.schema.columns]
     topics = [(name, f"{count:,}") for name, count in summary.messages.items()]
     attachments = [(name, f"{size:,}") for name, size in summary.attachments.items()]
-    print_table(str(summary.path), ("", ""), [*_totals(summary), *_run_rows(summary.metadata)])
-    print_table("topics", ("topic", "messages"), topics, figures="messages")
-    print_table("columns", ("column", "type", "shape", "meaning"), columns)
-    print_table("attachments", ("name", "bytes"), attachments, figures="bytes")
-    print_table("metadata", ("key", "value"), _other_entries(summary.metadata))
+    print_table(str(summary.path), ("", ""), [*_totals(summary), *_run_rows(summary)], figures=())
+    print_table("topics", ("topic", "messages"), topics)
+    print_table("columns", ("column", "type", "shape", "meaning"), columns, figures=())
+    print_table("attachments", ("name", "bytes"), attachments)
+    print_table("metadata", ("key", "value"), _other_entries(summary.metadata), figures=())
 
 
 def _totals(summary: LogSummary) -> list[tuple[str, str]]:
@@ -68,6 +67,7 @@ def _totals(summary: LogSummary) -> list[tuple[str, str]]:
     span = f"{summary.start_time_s:,.1f} to {summary.end_time_s:,.1f} s" if summary.transitions else "none"
     return [
         ("format version", str(summary.format_version)),
+        *([("lacks", version2.LACKS)] if summary.format_version == version2.VERSION else []),
         ("part", summary.metadata.get("part", "unknown")),
         ("transitions", f"{summary.transitions:,}"),
         ("episodes ended", f"{summary.episodes_ended:,}"),
@@ -76,22 +76,28 @@ def _totals(summary: LogSummary) -> list[tuple[str, str]]:
     ]
 
 
-def _run_rows(metadata: Mapping[str, str]) -> list[tuple[str, str]]:
+def _run_rows(summary: LogSummary) -> list[tuple[str, str]]:
     """What the run says of itself, so far as it does."""
+    metadata = summary.metadata
     rows = [(name, metadata[key]) for key, name in _RUN.items() if key in metadata]
     packages = _parsed(metadata, "packages", dict)
     if packages:
         rows.append(("packages", ", ".join(f"{name} {version}" for name, version in packages.items())))
-    scene = _scene(metadata)
+    scene = _scene(summary.scene_entries)
     if scene and len(scene.sensor_angles):
         first, last = (math.degrees(angle) for angle in (scene.sensor_angles.min(), scene.sensor_angles.max()))
         sensors = f"{len(scene.sensor_angles)} rays, {first:.0f}° to {last:.0f}°, range {scene.sensor_range:g} m"
         rows += [
             ("sensors", sensors),
-            ("actions", ", ".join(scene.action_names)),
+            ("actions", ", ".join(scene.action_names) or f"numbers for {', '.join(scene.control_names)}"),
             ("time step", f"{scene.time_step:g} s"),
         ]
     return rows
+
+
+def _meaning(column: Column) -> str:
+    """What the values are, and what those of a row are called."""
+    return f"{column.meaning}: {', '.join(column.entries)}" if column.entries else column.meaning
 
 
 def _other_entries(metadata: Mapping[str, str]) -> list[tuple[str, str]]:

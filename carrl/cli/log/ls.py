@@ -5,14 +5,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb, whole_number
-from carrl.cli.log.chosen_episode import best_first
-from carrl.cli.log.printable import printable
-from carrl.cli.log.terminal import aligned, counted, print_json
+from carrl.cli.log.shared import Verbs, add_json, add_verb, aligned, best_first, counted, print_json, whole_number
 from carrl.errors import DamagedLogError
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.trace import read_scene
+from carrl.printable import printable
 
 ORDERS: dict[str, Callable[[Episode], float]] = {
     "episode": lambda episode: episode.episode,

@@ -5,13 +5,19 @@ import re
 from pathlib import Path
 from typing import Any
 
-from carrl.cli.log.arguments import Verbs, add_episode, add_json, add_verb
-from carrl.cli.log.chosen_episode import choose_trace
-from carrl.cli.log.printable import printable_trace
-from carrl.cli.log.terminal import print_json
-from carrl.cli.log.transition_rows import transition_rows
+from carrl.cli.log.shared import (
+    Verbs,
+    add_episode,
+    add_json,
+    add_verb,
+    choose_trace,
+    print_json,
+    printable_trace,
+    transition_rows,
+)
 from carrl.errors import LogError
 from carrl.log.reader import Log
+from carrl.log.schema import Schema
 from carrl.log.trace import EpisodeTrace
 
 _STEPS = re.compile(r"(\d{0,9}):(\d{0,9})", re.ASCII)
@@ -33,10 +39,10 @@ def add_to(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Prints the episode."""
     with Log(Path(arguments.file)) as log:
-        trace = choose_trace(log, arguments.episode)
+        trace, schema = choose_trace(log, arguments.episode), log.schema
     rows = _rows(trace, arguments)
     if arguments.json:
-        print_json(_document(trace, rows or range(len(trace))))
+        print_json(_document(trace, rows or range(len(trace)), schema))
     else:
         _print(trace, rows)
     return 0
@@ -66,11 +72,11 @@ def _rows(trace: EpisodeTrace, arguments: argparse.Namespace) -> range | None:
     return range(begin_row, end_row)
 
 
-def _document(trace: EpisodeTrace, rows: range) -> dict[str, Any]:
+def _document(trace: EpisodeTrace, rows: range, schema: Schema) -> dict[str, Any]:
     columns = {name: values[rows.start : rows.stop] for name, values in trace.columns.items()}
     return {
         "episode": trace.episode,
-        "env": trace.env,
+        "car": trace.car,
         "track_name": trace.track.name,
         "first_step": trace.first_step,
         "length": len(trace),
@@ -79,12 +85,12 @@ def _document(trace: EpisodeTrace, rows: range) -> dict[str, Any]:
         "ended": trace.ended,
         "action_names": trace.scene.action_names,
         "reward_terms": trace.scene.reward_terms,
-        "transitions": list(transition_rows(columns)),
+        "transitions": list(transition_rows(columns, schema)),
     }
 
 
 def _print(trace: EpisodeTrace, rows: range | None) -> None:
-    from carrl.cli.log.console import TextConsole
     from carrl.cli.text.episode_text import print_episode
+    from carrl.cli.text.terminal_table import TextConsole
 
     print_episode(printable_trace(trace), TextConsole(), rows)

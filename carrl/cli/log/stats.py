@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.cli.log.arguments import Verbs, add_json, add_verb, check_output
-from carrl.cli.log.printable import printable_scene
-from carrl.cli.log.terminal import print_json
+from carrl.cli.log.shared import Verbs, add_json, add_verb, check_output, print_json, printable_scene
 from carrl.errors import CarrlError, DamagedLogError, LogError
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.scene import Scene
-from carrl.log.trace import read_scene
+from carrl.log.trace import action_choices, read_scene, with_choices
 from carrl.report.log_stats import GREATEST_RETURN, LogStats, section_name
 
 
@@ -54,8 +52,8 @@ def _draw(path: Path, stats: LogStats, title: str) -> None:
 
 
 def _print(stats: LogStats) -> None:
-    from carrl.cli.log.console import TextConsole
     from carrl.cli.text.log_stats_text import print_log_stats
+    from carrl.cli.text.terminal_table import TextConsole
 
     print_log_stats(dataclasses.replace(stats, scene=printable_scene(stats.scene)), TextConsole())
 
@@ -66,17 +64,18 @@ def _read_stats(log: Log) -> LogStats:
     Raises:
         DamagedLogError: the log does not describe its world, or speaks of actions or places outside it.
     """
-    scene = read_scene(log)
+    scene = with_choices(read_scene(log))
     episodes = list(log.episodes())
     counts, random_choices = np.zeros(len(scene.action_names), dtype=np.int64), 0
     for batch in log.coded_batches():
-        actions = batch.columns["action"]
+        actions = action_choices(batch.columns)
         if actions.min() < 0 or actions.max() >= len(counts):
             raise DamagedLogError(f"log '{log.path}': has an action without a name; give the log of a carrl train run")
         counts += np.bincount(actions, minlength=len(counts))
-        random_choices += int(np.count_nonzero(batch.columns["exploratory"]))
+        random_choices += int(np.count_nonzero(batch.columns.get("exploratory", 0)))
     _check_episodes(log, episodes, scene)
-    return LogStats.of(episodes, scene, counts, random_choices / max(1, int(counts.sum())))
+    share = random_choices / max(1, int(counts.sum())) if "exploratory" in log.schema.by_name else math.nan
+    return LogStats.of(episodes, scene, counts, share)
 
 
 def _check_episodes(log: Log, episodes: Sequence[Episode], scene: Scene) -> None:

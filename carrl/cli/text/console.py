@@ -1,11 +1,12 @@
 """What a run shows on the terminal: its progress, and a table at the end."""
 
 import math
-from abc import ABC, abstractmethod
+import os
+import signal
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -14,117 +15,133 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn
 from rich.table import Table
 from rich.text import Text
 
-from carrl.cli.text.terminal_table import print_table
+from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
+from carrl.cli.text.many_runs import print_table
 from carrl.printable import printable
-from carrl.report.summary_file import missing_lap
-from carrl.train.agent_run import RECENT_EPISODES
-from carrl.train.offline_trainer import OfflineTrainer
+from carrl.report.runs import missing_lap
+from carrl.train.experiment import Observer, road_warning
+from carrl.train.replicate_run import RECENT_EPISODES
 from carrl.train.trainer import Trainer
 
-T = TypeVar("T")
+_SHOW_CURSOR = "\x1b[?25h"
 
 
-class Display(ABC, Generic[T]):
-    """A live progress bar with figures below it; use it in a `with` statement and call it after every round."""
+class StopOnSignals(Observer):
+    """Lets the first signal end the run with everything saved, and the second end the process at once.
 
-    def __init__(self) -> None:
-        """Shows nothing before the first round."""
+    A second SIGHUP is passed over: a closing terminal sends it, and so does the shell in it.
+    """
+
+    def on_start(self, trainer: Trainer) -> None:
+        """Takes the signals over."""
+        self._trainer = trainer
+        self._previous = {number: signal.signal(number, self._stop) for number in heeded()}
+
+    def on_end(self) -> None:
+        """Gives them back."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _stop(self, number: int, _frame: object) -> None:
+        if number == signal.SIGHUP:
+            let_go_of_closed_terminal()
+            if self._trainer.stopping:
+                return
+        if self._trainer.stopping:
+            if sys.stderr.isatty():
+                sys.stderr.write(f"{_SHOW_CURSOR}\n")
+                sys.stderr.flush()
+            os._exit(INTERRUPTED)
+        self._trainer.interrupt()
+
+
+class RoadWarning(Observer):
+    """Warns, before training begins, of a track that does not suit the car."""
+
+    def on_start(self, trainer: Trainer) -> None:
+        """Prints the warning, if there is one."""
+        world = trainer.pipeline.world
+        warn(road_warning(world.circuits.all, world))
+
+
+class ProgressDisplay(Observer):
+    """A live progress bar with figures below it."""
+
+    def on_start(self, trainer: Trainer) -> None:
+        """Begins to draw."""
         self._bar = Progress(SpinnerColumn(), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
         self._task = self._bar.add_task("", total=1.0)
         self._figures = Text()
         self._console = Console(stderr=True)
         self._live = Live(Group(self._bar, self._figures), console=self._console, refresh_per_second=4)
-
-    def __enter__(self) -> Self:
-        """Begins to draw."""
         self._live.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def on_round(self, trainer: Trainer) -> None:
+        """Moves the bar and the figures on."""
+        self._bar.update(self._task, completed=min(trainer.share_done, 1.0))
+        self._figures.plain = _figures(trainer) if trainer.source.transitions is None else _figures_of_logs(trainer)
+
+    def on_end(self) -> None:
         """Leaves the last state on the screen."""
         self._live.stop()
         if not self._console.is_terminal:  # where rich leaves out the last line's end
             self._console.print()
 
-    def __call__(self, trainer: T) -> None:
-        """Moves the bar and the figures on."""
-        self._bar.update(self._task, completed=min(self.done(trainer), 1.0))
-        self._figures.plain = self.figures(trainer)
 
-    @abstractmethod
-    def done(self, trainer: T) -> float:
-        """The share of the training that is done; 1 or more at its end."""
-
-    @abstractmethod
-    def figures(self, trainer: T) -> str:
-        """How it goes, in two lines."""
+def follow_run() -> list[Observer]:
+    """What follows a run that has the terminal to itself."""
+    return [RoadWarning(), StopOnSignals(), ProgressDisplay()]
 
 
-class Silence:
-    """Shows nothing, where many runs share a terminal; used as a `Display` is."""
-
-    def __enter__(self) -> Self:
-        """Does nothing."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Does nothing."""
-
-    def __call__(self, trainer: Any) -> None:
-        """Does nothing."""
+def warn(sentence: str | None) -> None:
+    """Prints a warning on standard error, if there is one."""
+    if sentence is not None:
+        print(printable(sentence), file=sys.stderr)
 
 
-class TrainingDisplay(Display[Trainer]):
-    """Shows how training in the simulator goes."""
-
-    def __init__(self, frames_limit: int, episodes_limit: int) -> None:
-        super().__init__()
-        self._frames_limit, self._episodes_limit = frames_limit, episodes_limit
-
-    def done(self, trainer: Trainer) -> float:
-        """By env steps or episodes, whichever limit is nearer."""
-        episodes = min(run.episodes for run in trainer.runs)  # the run that ends last
-        return max(trainer.frames / self._frames_limit, episodes / self._episodes_limit)
-
-    def figures(self, trainer: Trainer) -> str:
-        """Env steps, episodes, laps and returns."""
-        runs = trainer.runs
-        recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
-        mean_return = sum(recent) / len(recent) if recent else math.nan
-        rate = sum(run.moment.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
-        return (
-            f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
-            f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
-            f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · "
-            f"epsilon {runs[0].moment.epsilon:.2f} · {_laps_so_far(trainer)}"
-        )
+def _figures(trainer: Trainer) -> str:
+    """Env steps, episodes, laps and returns."""
+    runs = trainer.runs
+    recent = [run.recent_return for run in runs if not math.isnan(run.recent_return)]
+    mean_return = sum(recent) / len(recent) if recent else math.nan
+    rate = sum(run.status.frames for run in runs) / max(trainer.wall_time_s, 1e-9)
+    own = "".join(f"{name} {value:.2f} · " for name, value in runs[0].status.figures.items())
+    return (
+        f"  {trainer.frames:,} frames · {sum(run.episodes for run in runs):,} episodes · "
+        f"{sum(run.laps for run in runs):,} laps · {rate:,.0f} frames/s\n"
+        f"  return of the last {RECENT_EPISODES} episodes {mean_return:.0f} · {own}{_laps_so_far(trainer)}"
+    )
 
 
-class OfflineDisplay(Display[OfflineTrainer]):
-    """Shows how learning from logs goes."""
+def _figures_of_logs(trainer: Trainer) -> str:
+    """Updates, and the loss of the replicates' last minibatches."""
+    count = len(trainer.runs)
+    rate = trainer.updates * count / max(trainer.wall_time_s, 1e-9)
+    loss = sum(run.status.loss for run in trainer.runs) / count
+    each = "" if count == 1 else f" of each of {count} agents"
+    return (
+        f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
+        f"  {trainer.source.transitions:,} transitions from logs · loss {loss:.1f}"
+    )
 
-    def __init__(self, updates_limit: int, transitions: int) -> None:
-        super().__init__()
-        self._updates_limit, self._transitions = updates_limit, transitions
 
-    def done(self, trainer: OfflineTrainer) -> float:
-        """By updates."""
-        return trainer.updates / self._updates_limit
+def print_results(config: Mapping[str, Any], summaries: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Prints the results of a run, or how to go on with one that was interrupted.
 
-    def figures(self, trainer: OfflineTrainer) -> str:
-        """Updates, and the loss of the agents' last minibatches."""
-        agents = len(trainer.runs)
-        rate = trainer.updates * agents / max(trainer.wall_time_s, 1e-9)
-        loss = sum(run.moment.loss for run in trainer.runs) / agents
-        each = "" if agents == 1 else f" of each of {agents} agents"
-        return (
-            f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
-            f"  {self._transitions:,} transitions from logs · loss {loss:.1f}"
-        )
+    Raises:
+        KeyboardInterrupt: it was.
+    """
+    if not all(summary["finished"] for summary in summaries):
+        print(f"interrupted; everything is saved: go on with carrl train resume={folder}")
+        raise KeyboardInterrupt
+    if config["trainer"].get("seeds") is None:
+        print_summary(summaries[0], folder)
+    else:
+        print_summaries(summaries, folder)
+    trust = summaries[0].get("trust", ())
+    if trust:
+        flags = " ".join(f"--trust {module}" for module in trust)
+        print(printable(f"it has parts of your own; to open it again: carrl evaluate {folder} {flags}"))
 
 
 def print_summary(summary: Mapping[str, Any], folder: Path) -> None:

@@ -1,21 +1,23 @@
-"""One episode on the terminal: a line about it, a map of the drive, its rewards and Q-values, and a table of its steps.
+"""One episode on the terminal: a line about it, a map of the drive, charts of its numbers, and a table of its steps.
 
-Shapes: `T` steps, `A` actions.
+Shapes: `T` steps, `R` rays, `A` actions.
 """
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
+from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from carrl.cli.text.episode_table import step_table
 from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode_geometry import steps_of
-from carrl.render.terminal_chart import Chart, Ink, action_inks, map_chart, shows_colours, span
-from carrl.render.viewer_palette import CAR, ERROR, GATE
+from carrl.render.colours import DARK, ERROR
+from carrl.render.episode import EpisodeScene, Series, direction, steps_of
+from carrl.render.terminal import Chart, Ink, action_inks, map_chart, shows_colours
+from carrl.render.ticks import span
 
 SIDE_BY_SIDE = 120
 """From so many characters to a line on, the charts stand beside the map."""
@@ -23,8 +25,17 @@ CHART_ROWS = 12
 LEAST_MAP_ROWS, MOST_MAP_ROWS = 14, 2 * CHART_ROWS + 2
 GAP = 3
 """Between map and charts, characters."""
-START = Ink("S", CAR)
+START = Ink("S", DARK.car)
 END_NAMES = {"collision": "collision", "time limit": "time limit", "unfinished": "the record ends"}
+FIRST, LAST = 5, 15
+"""Of a longer episode, the table has so many of the first and of the last steps."""
+WIDE = 100
+"""From so many characters to a line on, the table has the probability of a random action, and more decimals."""
+REASONS = "for"
+"""The only column that may be folded."""
+LONGEST = 100_000
+"""Values of actions from here on are written with an exponent."""
+LEVELS = "▁▂▃▄▅▆▇█"
 
 
 def print_episode(trace: EpisodeTrace, console: Console, rows: range | None = None) -> None:
@@ -49,7 +60,7 @@ def _summary(trace: EpisodeTrace) -> Text:
     late = f", recorded from step {trace.first_step:,}" if trace.first_step else ""
     parts = [
         Text(f"episode {trace.episode:,}", "bold"),
-        Text(f"car {trace.env} on {trace.track.name}"),
+        Text(f"car {trace.car} on {trace.track.name}"),
         Text(f"{len(trace):,} steps in {seconds:,.1f} s{late}"),
         Text(f"return {trace.rewards.sum():,.4g}"),
         Text(_progress(trace)),
@@ -71,18 +82,21 @@ def _pictures(trace: EpisodeTrace, console: Console) -> RenderableType:
     rows = min(max(console.height - 4, LEAST_MAP_ROWS), MOST_MAP_ROWS)
     width = (console.width - GAP) // 2 if beside else console.width
     drive = _map(trace, inks, width, MOST_MAP_ROWS if beside else rows)
-    charts = _return_chart(trace, width), _value_chart(trace, inks, width)
+    charts: list[RenderableType] = [_return_chart(trace, width)]
+    per_action = EpisodeScene(trace).per_action
+    if per_action:
+        charts += [Text(), _value_chart(trace, per_action, inks, width)]
     if not beside:
-        return Group(drive, Text(), charts[0], Text(), charts[1])
+        return Group(drive, Text(), *charts)
     table = Table.grid(padding=(0, GAP, 0, 0))
-    table.add_row(drive, Group(charts[0], Text(), charts[1]))
+    table.add_row(drive, Group(*charts))
     return table
 
 
 def _map(trace: EpisodeTrace, inks: list[Ink], width: int, rows: int) -> Group:
     """The line driven, where the log tells it, in the inks of the actions [A], between the walls."""
     coloured = inks[0].symbol == "braille"
-    walls = Ink("braille", GATE) if coloured else Ink("·")
+    walls = Ink("braille", DARK.gate) if coloured else Ink("·")
     end = _end_ink(trace)
     chart = map_chart(trace.track, width, rows - 1, walls)
     x, y = trace.poses[:, 0], trace.poses[:, 1]
@@ -102,7 +116,7 @@ def _legend(trace: EpisodeTrace, inks: list[Ink]) -> list[Text]:
 
 
 def _end_ink(trace: EpisodeTrace) -> Ink:
-    return Ink("X", ERROR) if trace.ended == "collision" else Ink("E", CAR)
+    return Ink("X", ERROR) if trace.ended == "collision" else Ink("E", DARK.car)
 
 
 def _return_chart(trace: EpisodeTrace, width: int) -> Text:
@@ -113,12 +127,12 @@ def _return_chart(trace: EpisodeTrace, width: int) -> Text:
     return chart.line(steps, returns, Ink("braille")).text()
 
 
-def _value_chart(trace: EpisodeTrace, inks: list[Ink], width: int) -> Group:
-    """The Q-value of each action [A], in its ink, against the steps."""
+def _value_chart(trace: EpisodeTrace, per_action: Series, inks: list[Ink], width: int) -> Group:
+    """The number of each action [A], in its ink, against the steps."""
     block = math.ceil(len(trace) / width)
-    values = _block_means(trace.action_values, block)
+    values = _block_means(per_action.values, block)
     steps = _block_means(steps_of(trace)[:-1, None].astype(np.float64), block)[:, 0]
-    chart = Chart(width, CHART_ROWS, f"Q-values{f', means of {block} steps' if block > 1 else ''}")
+    chart = Chart(width, CHART_ROWS, f"{per_action.title}{f', means of {block} steps' if block > 1 else ''}")
     chart.axes(_span(steps), _span(values))
     for action, ink in enumerate(inks):
         chart.line(steps, values[:, action], ink)
@@ -137,3 +151,96 @@ def _span(values: Floats) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     return span(low, high)
+
+
+def step_table(trace: EpisodeTrace, rows: range | None, width: int) -> Table:
+    """A row for each step.
+
+    Args:
+        trace: the episode.
+        rows: which of the recorded steps, 0 .. T - 1; None for the first and the last ones.
+        width: characters to a line.
+    """
+    wide, scene = width >= WIDE, EpisodeScene(trace)
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 2 if wide else 1, 0, 0))
+    for name, to_the_right in _columns(scene, wide):
+        table.add_column(name, justify="right" if to_the_right else "left", no_wrap=name != REASONS)
+    after = None
+    for row in _shown(len(trace)) if rows is None else rows:
+        if after is not None and row > after:
+            table.add_row("⋮", style="dim")
+        table.add_row(*_cells(scene, row, wide))
+        after = row + 1
+    return table
+
+
+def _shown(steps: int) -> Iterator[int]:
+    """The first and the last rows of an episode, all of one that is hardly longer."""
+    return (row for row in range(steps) if row < FIRST or row >= steps - LAST or steps <= FIRST + LAST + 1)
+
+
+def _columns(scene: EpisodeScene, wide: bool) -> list[tuple[str, bool]]:
+    """Headings, and whether what is below stands at the right."""
+    before = [("step", True), ("time s", True), ("nearest wall", False), ("rays", False), ("action", False)]
+    values = []
+    if scene.per_action:
+        word = scene.per_action.title.split()[-1]
+        values = [(f"{word[0]} {name if wide else name[0]}", True) for name in scene.per_action.entries]
+    numbers = [(name, True) for series in scene.numbers for name in series.entries] if wide else []
+    return [*before, *values, ("reward", True), (REASONS, False), *numbers]
+
+
+def _cells(scene: EpisodeScene, row: int, wide: bool) -> list[Text]:
+    trace, per_action = scene.trace, scene.per_action
+    step, action = int(trace.columns["step"][row]), int(trace.actions[row])
+    star = "*" if trace.exploratory[row] else ""
+    ink = action_inks(trace.scene.action_names, coloured=True)[action]
+    values = []
+    if per_action:
+        decimals = _decimals(per_action.values) + wide
+        texts = [_value(value, decimals) for value in per_action.values[row]]
+        values = [Text(text, "bold" if index == action else "") for index, text in enumerate(texts)]
+    numbers = [Text(f"{value:.3f}") for series in scene.numbers for value in series.values[row]] if wide else []
+    return [
+        Text(f"{step:,}"),
+        Text(f"{step * trace.scene.time_step:,.1f}"),
+        Text(_nearest(trace, row)),
+        Text(ray_bars(trace.ranges[row] / trace.scene.sensor_range)),
+        Text(trace.scene.action_names[action] + star, ink.style),
+        *values,
+        Text(f"{trace.rewards[row]:+,.4g}" if trace.rewards[row] else "0"),
+        Text(_reasons(trace, row, wide)),
+        *numbers,
+    ]
+
+
+def ray_bars(readings: Floats) -> str:
+    """A bar for each reading [R] in 0..1, from the driver's left to the right; a full one sees no wall."""
+    levels = np.clip(readings[::-1] * len(LEVELS), 0, len(LEVELS) - 1).astype(np.int64)
+    return "".join(LEVELS[level] for level in levels)
+
+
+def _nearest(trace: EpisodeTrace, row: int) -> str:
+    ray = int(trace.ranges[row].argmin())
+    if trace.ranges[row, ray] >= trace.scene.sensor_range:
+        return "out of range"
+    return f"{trace.ranges[row, ray]:.1f} m {direction(trace.scene.sensor_angles[ray])}"
+
+
+def _reasons(trace: EpisodeTrace, row: int, wide: bool) -> str:
+    """The terms of a reward that are not zero; where there is room and more than one, with their values."""
+    terms = {
+        name: value for name, value in zip(trace.scene.reward_terms, trace.reward_terms[row], strict=True) if value
+    }
+    with_values = wide and len(terms) > 1
+    return ", ".join(f"{name} {value:+,.4g}" if with_values else name for name, value in terms.items())
+
+
+def _value(value: float, decimals: int) -> str:
+    return f"{value:,.{decimals}f}" if abs(value) < LONGEST else f"{value:.1e}"
+
+
+def _decimals(values: Floats) -> int:
+    """As many as leave three figures to the greatest of the values that are not too long to be written out."""
+    greatest = float(np.abs(values).max(initial=0, where=np.abs(values) < LONGEST))
+    return int(np.clip(2 - math.floor(math.log10(greatest)), 0, 3)) if greatest > 0 else 0

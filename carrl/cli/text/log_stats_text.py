@@ -9,9 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from carrl.log.scene import TrackShape
-from carrl.render.terminal_bars import BarRow, bars, histogram
-from carrl.render.terminal_chart import Chart, Ink, action_inks, map_chart, round_step, shows_colours, span
-from carrl.render.viewer_palette import CAR, ERROR, GATE, RAY, WARNING
+from carrl.render.colours import DARK, ERROR, WARNING
+from carrl.render.terminal import BarRow, Chart, Ink, action_inks, bars, histogram, map_chart, shows_colours
+from carrl.render.ticks import round_number, span
 from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct, section_name
 
 SIDE_BY_SIDE = 120
@@ -25,7 +25,7 @@ DENSITIES = 0.15, 0.5
 """From which share of the densest place on there are some crashes, and many."""
 AMOUNTS = "few", "some", "many"
 MOST_GATE_NUMBERS = 12
-START = Ink("S", RAY)
+START = Ink("S", DARK.ray)
 MOST_BLOCKS = 60
 """Points of the curve of returns."""
 
@@ -42,7 +42,9 @@ def print_log_stats(stats: LogStats, console: Console) -> None:
 
 
 def _headline(stats: LogStats) -> Text:
-    steps = f"{stats.action_counts.sum():,} transitions, {100 * stats.exploratory_share:.0f} % of them drawn at random"
+    steps = f"{stats.action_counts.sum():,} transitions"
+    if not np.isnan(stats.exploratory_share):
+        steps += f", {100 * stats.exploratory_share:.0f} % of them drawn at random"
     if not len(stats):
         return Text(f"{steps}\n{NO_EPISODE}")
     crashes, laps = int(stats.collided.sum()), int((stats.laps > 0).sum())
@@ -97,10 +99,9 @@ def _return_curve(stats: LogStats, width: int) -> Text:
 
 def _crash_map(stats: LogStats, width: int, coloured: bool) -> Group:
     """Where cars crashed, in an ink for each of three densities."""
-    chart = map_chart(stats.track, width, MAP_ROWS, Ink("braille", GATE) if coloured else Ink("·"))
-    inks = (
-        [Ink("braille", colour) for colour in (CAR, WARNING, ERROR)] if coloured else [Ink(letter) for letter in "xX#"]
-    )
+    chart = map_chart(stats.track, width, MAP_ROWS, Ink("braille", DARK.gate) if coloured else Ink("·"))
+    colours = DARK.car, WARNING, ERROR
+    inks = [Ink("braille", colour) for colour in colours] if coloured else [Ink(letter) for letter in "xX#"]
     places = stats.crash_places
     left, bottom, right, top = stats.track.bounds
     resolution = max(right - left, top - bottom) / 200
@@ -122,7 +123,7 @@ def _crash_map(stats: LogStats, width: int, coloured: bool) -> Group:
 def _number_gates(chart: Chart, track: TrackShape) -> None:
     """Numbers in the middle of the gates, or of some of them; the last one is the start line."""
     middles = track.gates.mean(axis=1)
-    every = round(round_step(max(1.0, len(middles) / MOST_GATE_NUMBERS)))
+    every = round(round_number(max(1.0, len(middles) / MOST_GATE_NUMBERS)))
     for gate in range(every - 1, len(middles) - 1, every):
         chart.line(middles[gate, :1], middles[gate, 1:], Ink(str(gate + 1)))
     chart.line(middles[-1, :1], middles[-1, 1:], START)

@@ -15,13 +15,11 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from carrl.files import write_whole
-from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode_geometry import steps_of
-from carrl.render.wall_lines import connected_walls
+from carrl.render.episode import EpisodeScene, connected_walls, steps_of
 
 PARTS = Path(__file__).parent
 SCRIPTS = (
@@ -109,10 +107,10 @@ def _json_in_html(document: dict[str, Any]) -> str:
 def _episode(trace: EpisodeTrace) -> dict[str, Any]:
     """What `episode.js` reads: names and single numbers as JSON, the rest as arrays."""
     scene, track = trace.scene, trace.track
-    lines = connected_walls(track)
+    lines, columns = connected_walls(track), EpisodeScene(trace).columns
     return {
         "episode": trace.episode,
-        "car": trace.env,
+        "car": trace.car,
         "ended": trace.ended,
         "startTime": float(trace.times[0]),
         "timeStep": scene.time_step,
@@ -125,7 +123,9 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
         "trackLength": track.length,
         "bounds": track.bounds,
         "wallLines": [len(line) for line in lines],
-        "passings": _gate_passings(trace),
+        "series": [{"title": _capitalised(series.title), "entries": series.entries} for series in columns],
+        "gatesBefore": int(trace.gates_passed[0]),  # of the record
+        "passings": trace.passings,  # row of the step, index of the gate
         "arrays": {
             "wallPoints": _packed(np.concatenate(lines), "<f4"),  # [N, 2]
             "centreline": _packed(track.centreline, "<f4"),  # [P, 2]
@@ -136,32 +136,17 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
             "times": _packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
             "actions": _packed(trace.actions, "|u1"),  # [T]
             "exploratory": _packed(trace.exploratory, "|u1"),  # [T]
-            "values": _packed(trace.action_values, "<f4"),  # [T, A]
             "rewards": _packed(trace.rewards, "<f4"),  # [T]
             "terms": _packed(trace.reward_terms, "<f4"),  # [T, K]
-            "epsilons": _packed(trace.epsilon, "<f4"),  # [T]
+            **{f"series{index}": _packed(series.values, "<f4") for index, series in enumerate(columns)},  # [T, N]
         },
     }
+
+
+def _capitalised(title: str) -> str:
+    return title[:1].upper() + title[1:]
 
 
 def _packed(values: ArrayLike, kind: str) -> list[str]:
     """The kind of the numbers, and their bytes, row by row, deflated, as base64."""
     return [kind, base64.b64encode(zlib.compress(np.asarray(values).astype(kind).tobytes(), 9)).decode()]
-
-
-def _gate_passings(trace: EpisodeTrace) -> list[list[int]]:
-    """Of each step that passed a gate its row, and the index of the gate, which is the one nearest to the car."""
-    rows = np.diff(trace.gates_passed).nonzero()[0]
-    after = rows + (np.diff(steps_of(trace))[rows] == 1)
-    places = (trace.poses[rows, :2] + trace.poses[after, :2]) / 2
-    gates = _distances(places, trace.track.gates).argmin(axis=1)
-    return [[int(row), int(gate)] for row, gate in zip(rows, gates, strict=True)]
-
-
-def _distances(points: Floats, segments: Floats) -> NDArray[np.float64]:
-    """From each point [M, 2] to each segment [G, 2, 2], [M, G], m."""
-    begins, along = segments[:, 0], segments[:, 1] - segments[:, 0]
-    reach = points[:, None] - begins
-    share = (reach * along).sum(axis=-1) / np.maximum((along**2).sum(axis=-1), 1e-12)
-    nearest = begins + share.clip(0, 1)[..., None] * along
-    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=-1))

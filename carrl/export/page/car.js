@@ -37,6 +37,7 @@ function drawFlash(context, episode, camera, colours, position) {
     const [step, gate] = episode.passings[i];
     const age = (position - step - 1) / FLASH_STEPS;
     if (age >= 1) return;
+    if (gate < 0) continue; // the log does not say which
     context.strokeStyle = faded(colours.good, 1 - age * age);
     context.lineCap = "round";
     context.lineWidth = clamp(0.8 * camera.scale, 3, 8);

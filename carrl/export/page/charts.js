@@ -19,7 +19,7 @@ function drawChart(chart, position) {
   chart.moment(context, chart.plots, position);
 }
 
-// Q-values: a line for each action, below it the chosen actions as a ribbon, beside it the step's values as bars.
+// A number for each action: a line for each, below it the chosen actions as a ribbon, beside it the step's values as bars.
 function makeValueChart(episode, colours, canvas) {
   return makeChart(
     canvas,
@@ -28,11 +28,11 @@ function makeValueChart(episode, colours, canvas) {
   );
 }
 
-const valueOf = (episode, step, action) => episode.values[step * episode.actionNames.length + action];
+const valueOf = (episode, step, action) => episode.perAction.values[step * episode.actionNames.length + action];
 
 function drawValueLines(context, episode, colours, { width, height }) {
   const rectangle = { left: AXIS_WIDTH, top: 8, right: width - BARS_WIDTH, bottom: height - FOOT - 10 };
-  const plot = makePlot(rectangle, episode.steps, widened(spanOf(episode.values)));
+  const plot = makePlot(rectangle, episode.steps, widened(spanOf(episode.perAction.values)));
   drawValueAxis(context, { ...plot, right: width }, colours, plot.bottom - plot.top < 90 ? 3 : 5);
   context.lineWidth = 1.4;
   episode.actionNames.forEach((_, action) => {

@@ -1,5 +1,6 @@
 // The episode as the log has it, and what follows from it.
 // T steps, R rays, A actions, K terms of the reward. Lengths in metres, angles in radians, times in seconds.
+// A series has numbers of the log by its entries, [T, entries]; `perAction` is one of a number for each action, if any.
 // A position is a recorded step and the share of it that is driven, 0..T; at T the last step is done. A step's number is
 // that within the episode: it is larger where the log lacks steps.
 
@@ -15,6 +16,8 @@ async function readEpisode() {
   const { arrays, ...episode } = JSON.parse(byId("episode").textContent);
   const unpacked = await Promise.all(Object.values(arrays).map(unpack));
   Object.keys(arrays).forEach((name, i) => (episode[name] = unpacked[i]));
+  episode.series.forEach((series, i) => (series.values = episode[`series${i}`]));
+  episode.perAction = episode.series.find(({ entries }) => String(entries) === String(episode.actionNames));
   episode.steps = episode.actions.length;
   episode.rays = episode.sensorAngles.length;
   episode.returns = runningSum(episode.rewards);

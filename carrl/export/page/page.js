@@ -12,7 +12,7 @@ function repaint() {
   const colours = readColours();
   stage = makeStage(episode, byId("track"), colours);
   charts = {
-    values: makeValueChart(episode, colours, byId("value-chart")),
+    ...(episode.perAction && { values: makeValueChart(episode, colours, byId("value-chart")) }),
     rewards: makeRewardChart(episode, colours, byId("reward-chart")),
     sensors: makeSensorChart(episode, colours, byId("sensor-bars")),
     events: makeEventChart(episode, colours, byId("events")),
@@ -44,7 +44,7 @@ function watchSize() {
 showFacts(episode);
 repaint();
 const seekable = [
-  [byId("value-chart"), () => charts.values.plots],
+  ...(episode.perAction ? [[byId("value-chart"), () => charts.values.plots]] : []),
   [byId("reward-chart"), () => charts.rewards.plots.sum],
 ];
 connectControls(episode, player, seekable, repaint);

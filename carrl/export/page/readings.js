@@ -37,6 +37,7 @@ function showLegend(episode) {
 // Called once; the returned function shows a position, and touches the page only where its step changes.
 function makeReadings(episode) {
   const rows = makeValueRows(episode);
+  const numbers = makeNumberCells(episode);
   const terms = makeTermCells(episode);
   let shown = -1;
   return (position) => {
@@ -45,7 +46,8 @@ function makeReadings(episode) {
     if (step === shown) return;
     shown = step;
     showMoment(episode, step);
-    showValues(episode, step, rows);
+    showNumbers(episode, step, numbers);
+    if (episode.perAction) showValues(episode, step, rows);
     showTerms(episode, step, terms);
     showNearest(episode, step);
   };
@@ -64,8 +66,7 @@ function showMoment(episode, step) {
   byId("read-action").replaceChildren(over ? element("span", "faint", episode.ended) : chosenAction(episode, step));
   byId("read-time").textContent = formatSeconds(episode.times[step]);
   byId("read-time").title = `${formatSeconds(episode.startTime + episode.times[step])} since the start of the run`;
-  byId("read-gates").textContent = formatNumber(gatesPassedAt(episode, step), 0);
-  byId("read-epsilon").textContent = over ? "–" : formatNumber(episode.epsilons[step], 3);
+  byId("read-gates").textContent = formatNumber(episode.gatesBefore + gatesPassedAt(episode, step), 0);
   byId("read-return").textContent = formatReward(episode.returns[step]);
   showReward(byId("read-reward"), over ? null : episode.rewards[step]);
 }
@@ -84,6 +85,24 @@ function showReward(place, reward) {
   place.className = reward > 0 ? "good" : reward < 0 ? "bad" : "";
 }
 
+// A cell for each entry of the series that are not charts.
+function makeNumberCells(episode) {
+  const cells = episode.series.filter((series) => series !== episode.perAction).flatMap(({ entries, values }) => {
+    return entries.map((entry, index) => {
+      const place = element("dd", "");
+      place.id = `read-${entry.replaceAll(/\W+/g, "-")}`;
+      byId("read-return").parentElement.before(element("div", "", element("dt", "", entry), place));
+      return { place, valueAt: (step) => values[step * entries.length + index] };
+    });
+  });
+  return cells;
+}
+
+function showNumbers(episode, step, cells) {
+  const over = step >= episode.steps;
+  for (const { place, valueAt } of cells) place.textContent = over ? "–" : formatNumber(valueAt(step), 3);
+}
+
 function makeTermCells(episode) {
   const values = episode.termNames.map(() => element("dd", ""));
   const cells = values.map((value, term) => element("div", "", element("dt", "", episode.termNames[term]), value));
@@ -100,6 +119,8 @@ function showTerms(episode, step, places) {
 }
 
 function makeValueRows(episode) {
+  if (!episode.perAction) byId("values").style.display = "none";
+  byId("values-name").textContent = episode.perAction?.title ?? "";
   const rows = episode.actionNames.map((name, action) => {
     const value = element("span", "value");
     const row = element("li", "", swatchOf(action), element("span", "", name), value);
@@ -112,7 +133,7 @@ function makeValueRows(episode) {
 function showValues(episode, step, rows) {
   const over = step >= episode.steps;
   rows.forEach(({ row, value }, action) => {
-    value.textContent = over ? "–" : formatNumber(episode.values[step * rows.length + action], 2);
+    value.textContent = over ? "–" : formatNumber(valueOf(episode, step, action), 2);
     row.classList.toggle("taken", !over && action === episode.actions[step]);
   });
 }

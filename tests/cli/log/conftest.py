@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from carrl.cli.main import main
-from carrl.log.layout import tensordict_of
+from carrl.log.codec import tensordict_of
 from carrl.log.messages import Episode, Metrics
-from carrl.log.scene import Scene
+from carrl.log.scene import ObservationPart, Scene
 from carrl.log.writer import LogWriter
+from tests.logs import make_schema
 
 ROUNDS = 18
 DRIVES = {
@@ -26,12 +27,13 @@ DRIVES = {
 """
 SCENE = Scene(
     action_names=("forward", "left", "right"),
+    control_names=("steer",),
+    observation=(ObservationPart("rays", 5, 0.0, 1.0),),
     reward_terms=("collision", "proximity", "gate", "steering"),
     sensor_angles=np.linspace(-np.pi / 2, np.pi / 2, 5),
     sensor_range=10.0,
     time_step=0.1,
     body_radius=0.5,
-    manoeuvres=np.array([(0.5, 0, 0), (0.5, 0.1, 0.1), (0.5, -0.1, -0.1)]),
     tracks=(),
 )
 TRACK = {
@@ -44,6 +46,7 @@ TRACK = {
     ],
     "gates": [[[14, 10], [20, 10]], [[10, 14], [10, 20]], [[6, 10], [0, 10]], [[10, 6], [10, 0]]],
 }
+SCHEMA = make_schema(5)
 METADATA = {"seed": "3", "track": "square", "num_envs": "3", "packages": '{"carrl": "0.1.0"}', "git_commit": "abc123"}
 
 
@@ -87,6 +90,8 @@ def columns_of(round_index: int, tracks: int) -> dict[str, np.ndarray]:
     cars = np.array([drive.car for _, drive, *_ in rows])
     steps = np.array([step for _, _, step, *_ in rows])
     terms = np.array([reward for *_, reward, _ in rows], dtype=np.float32)
+    passed = np.array([int((drive.rewards[:step, 2] > 0).sum()) for _, drive, step, *_ in rows])
+    states = np.stack([10 + 0.5 * steps, 3 + 0.5 * cars, np.zeros(3)], axis=1).astype(np.float32)
     readings = np.linspace(0.2, 0.6, 5) + 0.01 * steps[:, None]
     values = 10.0 + 0.1 * steps[:, None] + np.arange(3)
     values[(cars == 1) & (steps == 2)] = np.nan, np.inf, -np.inf
@@ -100,8 +105,12 @@ def columns_of(round_index: int, tracks: int) -> dict[str, np.ndarray]:
         "truncated": np.array([[ended == "time limit"] for *_, ended in rows]),
         "episode": np.array([number for number, *_ in rows]),
         "step": steps,
-        "env": cars,
-        "pose": np.stack([10 + 0.5 * steps, 3 + 0.5 * cars, np.zeros(3)], axis=1).astype(np.float32),
+        "car": cars,
+        "state": states,
+        "next_state": states + np.array([0.5, 0, 0], dtype=np.float32),
+        "next_gate": passed % 4,
+        "gates_passed": passed,
+        "next_gates_passed": passed + (terms[:, 2] > 0),
         "action_value": values.astype(np.float32),
         "epsilon": np.full(3, 0.1, dtype=np.float32),
         "exploratory": steps % 4 == 3,
@@ -138,9 +147,10 @@ def write_log(path: Path, track_names: tuple[str, ...] = ("square",), scene: Sce
     tracks = {name: json.dumps({**TRACK, "name": track}) for name, track in zip(names, track_names, strict=True)}
     attachments = {"config.yaml": b"seed: 3\n", **{name: text.encode() for name, text in tracks.items()}}
     metadata = {**METADATA, "track": track_names[0], **scene.entries()}
-    with LogWriter(path, attachments=attachments, metadata=metadata, **recorder) as writer:
+    schema = make_schema(5, terms=scene.reward_terms)
+    with LogWriter(path, schema=schema, attachments=attachments, metadata=metadata, **recorder) as writer:
         for index in range(ROUNDS):
-            writer.write(tensordict_of(columns_of(index, len(track_names))))
+            writer.write(tensordict_of(columns_of(index, len(track_names)), schema))
             for episode in ended_in(index, len(track_names)):
                 writer.write_episode(episode)
             if index % 6 == 5:

@@ -10,10 +10,9 @@ import pytest
 
 import carrl.log
 from carrl.cli.main import main
-from carrl.log.layout import tensordict_of
-from carrl.log.schema import COLUMNS
+from carrl.log.codec import tensordict_of
 from carrl.log.writer import LogWriter
-from tests.cli.log.conftest import columns_of
+from tests.cli.log.conftest import SCHEMA, columns_of
 
 
 @pytest.fixture
@@ -29,8 +28,8 @@ def rows(run, log_path):
 def test_every_transition_is_a_json_line_with_the_numbers_of_the_log(rows, log_path):
     found, columns = rows(), carrl.log.read_columns(log_path)
     assert len(found) == 54
-    assert list(found[0]) == [column.name for column in COLUMNS]
-    for column in COLUMNS:
+    assert list(found[0]) == [column.name for column in SCHEMA.columns]
+    for column in SCHEMA.columns:
         values = np.array([row[column.name] for row in found], dtype=columns[column.name].dtype)
         expected = np.where(np.isfinite(columns[column.name]), columns[column.name], np.nan).reshape(values.shape)
         np.testing.assert_array_equal(values, expected.astype(values.dtype))
@@ -129,8 +128,9 @@ def long_log(folder, rounds):
     """A log of so many rounds of three transitions, a hundred of them to a chunk."""
     path = folder / f"{rounds}.mcap"
     first = columns_of(0, 1)
-    with LogWriter(path, attachments={}, metadata={}) as writer:
+    with LogWriter(path, schema=SCHEMA, attachments={}, metadata={}) as writer:
         for _ in range(rounds // 100):
-            writer.write(tensordict_of({name: np.repeat(values, 100, axis=0) for name, values in first.items()}))
+            many = {name: np.repeat(values, 100, axis=0) for name, values in first.items()}
+            writer.write(tensordict_of(many, SCHEMA))
             writer.flush()
     return path

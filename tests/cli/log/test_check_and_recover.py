@@ -110,7 +110,7 @@ def test_each_kind_of_loss_has_its_sentence(run, log_path, tmp_path, monkeypatch
         1_500,
         7,
     )
-    monkeypatch.setattr("carrl.cli.log.recover.recover", lambda source, target, run: loss)
+    monkeypatch.setattr("carrl.cli.log.integrity.recover", lambda source, target, run: loss)
     assert run("recover", log_path, "new.mcap").splitlines() == [
         "new.mcap: salvaged 9 transitions, 2 ended episodes, 1 message of metrics, with config.yaml.",
         "Lost: topic /transitions, which every log has; the ended episodes have 1,500 steps, whose transitions are not "

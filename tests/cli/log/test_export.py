@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import carrl.log
-from carrl.log.layout import tensordict_of
-from carrl.log.schema import COLUMNS
+from carrl.log.codec import tensordict_of
 from carrl.log.writer import LogWriter
-from tests.cli.log.conftest import SCENE, columns_of, write_log
+from tests.cli.log.conftest import SCENE, SCHEMA, columns_of, write_log
 
 HEADINGS = [
     *(f"observation_{index}" for index in range(5)),
@@ -20,9 +19,11 @@ HEADINGS = [
     "reward",
     *("reward_collision", "reward_proximity", "reward_gate", "reward_steering"),
     *(f"next_observation_{index}" for index in range(5)),
-    *("terminated", "truncated", "episode", "step", "env", "pose_x", "pose_y", "pose_heading"),
+    *("terminated", "truncated", "episode", "step", "car", "track"),
+    *("state_x", "state_y", "state_heading", "next_state_x", "next_state_y", "next_state_heading"),
+    *("next_gate", "gates_passed", "next_gates_passed", "time_ns"),
     *("action_value_forward", "action_value_left", "action_value_right"),
-    *("epsilon", "exploratory", "track", "time_ns"),
+    *("epsilon", "exploratory"),
 ]
 
 
@@ -36,7 +37,7 @@ def table(columns):
     """What the cells of a table should be: each column's values by its heading."""
     flat = {}
     headings = iter(HEADINGS)
-    for column in COLUMNS:
+    for column in SCHEMA.columns:
         values = columns[column.name].reshape(54, -1)
         flat |= {next(headings): values[:, index] for index in range(values.shape[1])}
     return flat
@@ -60,7 +61,7 @@ def test_csv_writes_a_number_as_short_as_its_type_allows(run, log_path, tmp_path
     run("export", log_path, tmp_path / "a.csv", "--episode", "1")
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[1].startswith("0.2,0.3,0.4,0.5,0.6,0,0.0,")
-    assert ",nan,inf,-inf,0.1,false,0," in lines[3]
+    assert lines[3].endswith(",nan,inf,-inf,0.1,false")
 
 
 def test_parquet_holds_the_same_table_with_units_and_the_runs_metadata(run, log_path, tmp_path, table):
@@ -73,15 +74,15 @@ def test_parquet_holds_the_same_table_with_units_and_the_runs_metadata(run, log_
         values = found[heading].to_numpy()
         assert values.dtype == table[heading].dtype
         np.testing.assert_array_equal(values, table[heading])
-    assert found.schema.field("pose_heading").metadata[b"unit"] == b"rad"
-    assert b"before the action" in found.schema.field("pose_x").metadata[b"meaning"]
+    assert found.schema.field("state_heading").metadata[b"unit"] == b"rad"
+    assert b"before the action" in found.schema.field("state_x").metadata[b"meaning"]
     assert (found.schema.metadata[b"seed"], found.schema.metadata[b"track"]) == (b"3", b"square")
     assert not any(key.startswith(b"column.") for key in found.schema.metadata)
 
 
 def test_parquet_gathers_batches_into_groups(run, log_path, tmp_path, monkeypatch):
     parquet = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr("carrl.export.table.parquet_file.GROUP_ROWS", 20)
+    monkeypatch.setattr("carrl.export.tables.GROUP_ROWS", 20)
     run("export", log_path, tmp_path / "a.parquet")
     metadata = parquet.read_metadata(tmp_path / "a.parquet")
     assert [metadata.row_group(index).num_rows for index in range(metadata.num_row_groups)] == [21, 21, 12]
@@ -90,7 +91,7 @@ def test_parquet_gathers_batches_into_groups(run, log_path, tmp_path, monkeypatc
 def test_npz_holds_the_columns_as_they_are_loaded_and_nothing_pickled(run, log_path, tmp_path, columns):
     run("export", log_path, tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as found:
-        assert found.files == [column.name for column in COLUMNS]
+        assert found.files == [column.name for column in SCHEMA.columns]
         for name in found.files:
             assert found[name].dtype == columns[name].dtype
             np.testing.assert_array_equal(found[name], columns[name])
@@ -119,10 +120,10 @@ def test_names_that_do_not_fit_give_way_to_numbers(run, tmp_path):
 
 
 def test_a_log_that_describes_no_world_makes_a_table_all_the_same(run, tmp_path):
-    with LogWriter(tmp_path / "bare.mcap", attachments={}, metadata={}) as writer:
-        writer.write(tensordict_of(columns_of(0, 1)))
+    with LogWriter(tmp_path / "bare.mcap", schema=SCHEMA, attachments={}, metadata={}) as writer:
+        writer.write(tensordict_of(columns_of(0, 1), SCHEMA))
     run("export", tmp_path / "bare.mcap", tmp_path / "a.csv")
-    assert ",action_value_0,action_value_1,action_value_2," in (tmp_path / "a.csv").read_text()
+    assert ",action_value_forward,action_value_left,action_value_right," in (tmp_path / "a.csv").read_text()
 
 
 def test_an_older_file_is_replaced_and_nothing_else_is_left(run, log_path, tmp_path):
@@ -153,8 +154,8 @@ def test_an_episode_becomes_a_video_or_a_file_for_a_viewer(run, log_path, tmp_pa
 
 @pytest.mark.parametrize(("ending", "package"), [("parquet", "pyarrow"), ("gif", "av"), ("mcap", "foxglove")])
 def test_a_package_that_is_missing_is_named_with_its_remedy(refused, log_path, tmp_path, monkeypatch, ending, package):
-    for name in [name for name in sys.modules if name.startswith("carrl.export.foxglove.")]:
-        monkeypatch.delitem(sys.modules, name)
+    for name in ("carrl.export.foxglove", "carrl.export.rerun"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     assert "pip install 'carrl[export]'" in refused("export", log_path, tmp_path / f"a.{ending}")
     assert os.listdir(tmp_path) == []
@@ -208,7 +209,7 @@ def test_an_export_that_fails_half_way_leaves_the_old_file(refused, log_path, tm
         raise OSError(28, "No space left on device")
 
     (tmp_path / "a.csv").write_text("old")
-    monkeypatch.setattr("carrl.export.table.csv_file._texts", fail)
+    monkeypatch.setattr("carrl.export.tables._texts", fail)
     assert "cannot be written: No space left on device" in refused("export", log_path, tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text() == "old"
     assert os.listdir(tmp_path) == ["a.csv"]

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from carrl.log.layout import tensordict_of
+from carrl.log.codec import tensordict_of
 from carrl.log.writer import LogWriter
-from tests.cli.log.conftest import METADATA, ROUNDS, SCENE, TRACK, columns_of, ended_in
+from tests.cli.log.conftest import METADATA, ROUNDS, SCENE, SCHEMA, TRACK, columns_of, ended_in
 
 LARGEST = 3e38
 """About the largest number of single precision."""
@@ -21,12 +21,14 @@ def extreme_log(tmp_path):
     def write(columns=None, episode=None):
         path = tmp_path / "extreme.mcap"
         attachments = {"config.yaml": b"", "track.json": json.dumps(TRACK).encode()}
-        with LogWriter(path, attachments=attachments, metadata={**METADATA, **SCENE.entries()}) as writer:
+        with LogWriter(
+            path, schema=SCHEMA, attachments=attachments, metadata={**METADATA, **SCENE.entries()}
+        ) as writer:
             for index in range(ROUNDS):
                 values = columns_of(index, 1)
                 for name, value in (columns or {}).items():
                     values[name][...] = value(values[name]) if callable(value) else value
-                writer.write(tensordict_of(values))
+                writer.write(tensordict_of(values, SCHEMA))
                 for ended in ended_in(index, 1):
                     writer.write_episode(ended._replace(**(episode or {})))
         return path
@@ -46,9 +48,9 @@ def every_second(value):
 
 
 COLUMNS = {
-    "a pose a thousand kilometres off": {"pose": every_second((1e6, 2e6, 0.0))},
-    "a pose at the end of the numbers": {"pose": every_second((LARGEST, -LARGEST, LARGEST))},
-    "every pose off": {"pose": LARGEST},
+    "a pose a thousand kilometres off": {"state": every_second((1e6, 2e6, 0.0))},
+    "a pose at the end of the numbers": {"state": every_second((LARGEST, -LARGEST, LARGEST))},
+    "every pose off": {"state": LARGEST, "next_state": -LARGEST},
     "rewards": {"reward": LARGEST, "reward_terms": -LARGEST},
     "infinite rewards": {"reward": np.inf, "reward_terms": np.nan},
     "equal Q-values": {"action_value": LARGEST},
@@ -57,7 +59,8 @@ COLUMNS = {
     "readings": {"observation": LARGEST, "next_observation": -LARGEST},
     "epsilon": {"epsilon": np.nan},
     "steps": {"step": lambda steps: steps + 2**31 - 50},
-    "cars": {"env": 2**31 - 1},
+    "cars": {"car": 2**31 - 1},
+    "gates": {"next_gate": -(2**31), "gates_passed": 2**31 - 1, "next_gates_passed": 2**31 - 1},
 }
 EPISODES = {
     "returns": {"episode_return": 1e38},
@@ -106,7 +109,7 @@ def test_poses_off_the_map_are_left_out_of_it_and_counted(run, extreme_log, log_
     def shift(poses):
         return np.where(np.arange(3)[:, None] == 2, poses + np.array((1e6, 0.0, 0.0)), poses)
 
-    shown = run("show", extreme_log(columns={"pose": shift}), "--episode", 2)
+    shown = run("show", extreme_log(columns={"state": shift, "next_state": shift}), "--episode", 2)
     assert "13 of 13 poses are off the map" in shown
     assert "off the map" not in run("show", log_path, "--episode", 2)
 

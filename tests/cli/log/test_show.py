@@ -8,6 +8,7 @@ import pytest
 from carrl.cli.main import main
 from carrl.log.writer import LogWriter
 from tests.cli.log.conftest import SCENE, write_log
+from tests.logs import make_schema
 
 
 @pytest.fixture
@@ -18,7 +19,7 @@ def document(run, log_path):
 
 def test_by_default_it_prints_the_episode_with_the_highest_return(run, log_path):
     printed = run("show", log_path)
-    for words in ("episode 2", "square", "12 steps", "return 200", "4 gates", "time limit", "forward", "Q-values"):
+    for words in ("episode 2", "square", "12 steps", "return 200", "4 gates", "time limit", "forward", "action value"):
         assert words in printed
 
 
@@ -40,7 +41,7 @@ def test_a_table_in_a_pipe_is_wide_enough_for_every_column(run, log_path, monkey
 
 def test_as_json_it_has_the_episode_and_all_of_its_transitions(document):
     found = document("--episode", "1")
-    assert (found["episode"], found["env"], found["track_name"], found["first_step"]) == (1, 1, "square", 0)
+    assert (found["episode"], found["car"], found["track_name"], found["first_step"]) == (1, 1, "square", 0)
     assert (found["length"], found["episode_return"], found["gates"], found["ended"]) == (7, -150.0, 1, "collision")
     assert found["action_names"] == ["forward", "left", "right"]
     assert [row["step"] for row in found["transitions"]] == list(range(7))
@@ -76,7 +77,7 @@ def test_a_log_without_ended_episodes_names_one_that_can_be_shown(refused, tmp_p
 
 
 def test_a_log_without_transitions_has_nothing_to_show(refused, tmp_path):
-    LogWriter(tmp_path / "empty.mcap", attachments={}, metadata={}).close()
+    LogWriter(tmp_path / "empty.mcap", schema=make_schema(), attachments={}, metadata={}).close()
     assert "holds no transitions" in refused("show", tmp_path / "empty.mcap")
 
 

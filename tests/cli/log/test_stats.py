@@ -60,6 +60,6 @@ def test_a_picture_that_cannot_be_written_is_one_sentence(refused, log_path, tmp
 
 
 def test_a_log_that_speaks_of_things_unknown_is_refused(refused, tmp_path):
-    fewer = dataclasses.replace(SCENE, action_names=("forward", "left"), manoeuvres=SCENE.manoeuvres[:2])
+    fewer = dataclasses.replace(SCENE, action_names=("forward", "left"))
     path = write_log(tmp_path / "train.mcap", scene=fewer)
     assert "has an action without a name" in refused("stats", path)

@@ -1,0 +1,178 @@
+"""Where the transitions that a run learns from come from: the simulator, in one process or many, or logs.
+
+Shapes: `A` replicates, `N` cars of each, `T` steps of each car in a batch, `F` = N * T transitions of each replicate.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import TensorDictReplayBuffer
+
+from carrl.data.collector import Collector
+from carrl.data.episodes import EpisodeTracker
+from carrl.data.replay_buffer import KEYS, contents_of, restore
+from carrl.data.returns import NStepReturns
+from carrl.env.track_env import TrackEnv
+from carrl.log.messages import Episode
+
+UPDATES_PER_ROUND = 250
+"""Of a run that learns from logs: after so many, progress is noted, and it may be stopped."""
+SAMPLE_SIZE = 256
+"""Logged transitions on which progress is measured, spread evenly over the logs."""
+
+
+class Round(NamedTuple):
+    """What a source brings to be learnt from at once.
+
+    Attributes:
+        steps: of each replicate; as many updates are due, unless several steps share one.
+        transitions: that were collected, in the order of time, [F, A]; None where all are in the memory already.
+        episodes: of each replicate that ended.
+    """
+
+    steps: int
+    transitions: TensorDictBase | None
+    episodes: list[list[Episode]]
+
+
+class Source(ABC):
+    """Puts transitions into the replay memory, a round at a time.
+
+    Attributes:
+        sample: logged transitions [P] to measure progress on, the same for all replicates; None in the simulator.
+        transitions: from logs, in all; None in the simulator.
+        env: in which cars are driven; None where there is no simulator.
+        cars: of each replicate.
+    """
+
+    env: TrackEnv | None = None
+    cars = 0
+    sample: TensorDictBase | None = None
+    transitions: int | None = None
+
+    @property
+    def frames(self) -> int:
+        """Env steps of each replicate so far; none without a simulator."""
+        return 0
+
+    @abstractmethod
+    def collect(self, updates: int) -> Round:
+        """The next round of a run that has made so many updates."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """All that moves, the memory included."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Goes on from there.
+
+        Raises:
+            ValueError, RuntimeError: it is the state of something else.
+        """
+
+    def close(self) -> None:  # noqa: B027 (most have nothing to let go of)
+        """Lets go of what drives the cars."""
+
+
+class Simulated(Source):
+    """Cars that are driven in the simulator.
+
+    Args:
+        env: with the cars of all replicates.
+        collector: that drives them.
+        buffer: to be filled.
+        returns: what makes transitions over several steps of them, if anything does.
+    """
+
+    def __init__(
+        self,
+        env: TrackEnv,
+        collector: Collector,
+        buffer: TensorDictReplayBuffer,
+        returns: NStepReturns | None,
+    ) -> None:
+        self.env: TrackEnv = env
+        self.collector, self.returns = collector, returns
+        self._buffer = buffer
+        self._replicates = buffer.sampler.agents
+        self.cars = int(env.batch_size[0]) // self._replicates
+        gates = [track.gate_count for track in env.tracks]
+        self._tracker = EpisodeTracker(self._replicates, self.cars, gates, env.simulator.vehicle.time_step)
+        self._batches: Iterator[TensorDictBase] | None = None
+
+    @property
+    def frames(self) -> int:
+        """Env steps of each replicate so far."""
+        return self._tracker.frames
+
+    def collect(self, updates: int) -> Round:
+        """Lets every car take its steps, and stores their transitions."""
+        if self._batches is None:
+            self._batches = iter(self.collector)
+        batch = next(self._batches)
+        ended = self._tracker.follow(batch)
+        # [A * N, T] to [T, N, A]: an item of the buffer is one transition of each replicate.
+        by_time = batch.view(self._replicates, -1, batch.shape[1]).permute(2, 1, 0)
+        transitions = by_time.select(*KEYS)
+        kept = transitions if self.returns is None else self.returns(transitions)
+        if len(kept):
+            self._buffer.extend(kept.flatten(0, 1))
+        collected = by_time.flatten(0, 1)
+        return Round(len(collected), collected, ended)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where cars, episodes and random numbers stand, and what is in the memory."""
+        return {
+            "tracker": self._tracker.state_dict(),
+            "cars": self.collector.cars(),
+            "streams": self.env.task.streams.state_dict(),
+            "replay_buffer": contents_of(self._buffer),
+            **({"returns": self.returns.state_dict()} if self.returns else {}),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Goes on from there.
+
+        Raises:
+            ValueError, RuntimeError: it is the state of other cars.
+        """
+        restore(self._buffer, state["replay_buffer"], self.env.task.action.spec)
+        if self.returns:
+            self.returns.load_state_dict(state["returns"])
+        self._tracker.load_state_dict(state["tracker"])
+        self.collector.load_cars(state["cars"])
+        self.env.task.streams.load_state_dict(state["streams"])
+
+    def close(self) -> None:
+        """Ends the collector."""
+        self.collector.shutdown()
+
+
+class Logged(Source):
+    """Logs, all of whose transitions are in the memory already: there is no simulator.
+
+    Args:
+        buffer: with the transitions.
+        updates: to be made in all.
+    """
+
+    def __init__(self, buffer: TensorDictReplayBuffer, updates: int) -> None:
+        self.transitions = len(buffer)
+        self._updates, self._replicates = updates, buffer.sampler.agents
+        items = torch.linspace(0, self.transitions - 1, min(SAMPLE_SIZE, self.transitions)).long()
+        self.sample = buffer.storage.get(items)[:, 0].clone()
+
+    def collect(self, updates: int) -> Round:
+        """Nothing new; the next updates are due."""
+        return Round(min(UPDATES_PER_ROUND, self._updates - updates), None, [[] for _ in range(self._replicates)])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing moves; the transitions are none of it."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Goes on."""

@@ -1,0 +1,236 @@
+"""Learning curves, for one run or for many side by side: single returns faintly, means of blocks of episodes boldly.
+
+The first lap is a dashed line. Shapes: `E` episodes, `K` blocks. Returns are undiscounted sums of rewards; episodes
+are numbered from 1.
+
+Source: the paper's figure 3, "average reward per 20 episodes (during training)".
+"""
+
+import math
+import re
+import textwrap
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+from numpy.typing import NDArray
+
+from carrl.render.colours import BLUE, FAINT, INK, VERMILLION
+from carrl.render.figure import new_figure, plain_axes, save_figure
+
+DOT = "#9a9a9a"
+HEADROOM = 0.15
+"""Share of the vertical axis added above the returns, where the first lap's label stands."""
+FEW_BLOCKS = 40
+"""Up to so many block means, each has a dot of its own."""
+MOST_COLUMNS = 5
+MOST_TITLE_LINES = 3
+TITLE_CHARACTERS = 90
+"""As many fit beside each other into the figure's width."""
+
+
+@dataclass(frozen=True)
+class RunCurve:
+    """What the curve of one run shows.
+
+    Attributes:
+        episode_returns: one per finished episode, in order, [E].
+        first_lap_episode: how many episodes had been driven at the first confirmed greedy lap; None if there was none.
+    """
+
+    episode_returns: Sequence[float]
+    first_lap_episode: int | None = None
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The part of the plane that a panel shows.
+
+    Attributes:
+        low: least return shown.
+        high: greatest return shown, below the headroom.
+        last_episode: right end of the axis of episodes.
+        outside: whether a single return lies below or above.
+    """
+
+    low: float
+    high: float
+    last_episode: float
+    outside: bool
+
+
+def block_means(returns: Sequence[float], window: int) -> NDArray[np.float64]:
+    """Means of consecutive blocks of `window` returns, [E] to [K].
+
+    A last incomplete block is left out, since its mean is noisier than the others, unless it is the only one.
+    """
+    blocks = max(1, len(returns) // window)
+    starts = range(0, min(len(returns), blocks * window), window)
+    return np.array([np.mean(returns[start : start + window]) for start in starts], dtype=np.float64)
+
+
+def block_centres(episodes: int, window: int) -> NDArray[np.float64]:
+    """The middle of each block of `block_means` on the axis of episodes, [K]: 10.5 for the episodes 1 to 20."""
+    return block_means(range(1, episodes + 1), window)
+
+
+def common_bounds(runs: Collection[RunCurve], window: int) -> Bounds:
+    """Bounds that hold every block mean and 99 % of the single returns, so that a freak episode flattens no curve."""
+    returns = np.concatenate([np.asarray(run.episode_returns, dtype=np.float64) for run in runs])
+    last_episode = 1.02 * max(window, *(max(len(run.episode_returns), run.first_lap_episode or 0) for run in runs))
+    if len(returns) == 0:
+        return Bounds(-1, 1, last_episode, outside=False)
+    means = np.concatenate([block_means(run.episode_returns, window) for run in runs])
+    low = min(means.min(), np.quantile(returns, 0.005))
+    high = max(means.max(), np.quantile(returns, 0.995))
+    margin = 0.05 * (high - low) or max(1.0, 0.1 * abs(high))
+    low, high = low - margin, high + margin
+    return Bounds(low, high, last_episode, outside=bool(((returns < low) | (returns > high)).any()))
+
+
+def draw_panel(axes: Axes, run: RunCurve, window: int, bounds: Bounds, size: float) -> None:
+    """Draws a run into axes that are set to the bounds; `size` scales the marks."""
+    plain_axes(axes)
+    _set_scales(axes, bounds)
+    if run.first_lap_episode is not None:
+        axes.axvline(run.first_lap_episode, color=VERMILLION, linewidth=1.2, linestyle=(0, (4, 2)), zorder=2.5)
+    if len(run.episode_returns) == 0:
+        axes.text(0.5, 0.5, "no finished episode", transform=axes.transAxes, ha="center", color=FAINT, fontsize=8)
+        return
+    _draw_single_returns(axes, np.asarray(run.episode_returns, dtype=np.float64), bounds, size)
+    means = block_means(run.episode_returns, window)
+    style = "o-" if len(means) <= FEW_BLOCKS else "-"
+    centres = block_centres(len(run.episode_returns), window)
+    axes.plot(centres, means, style, color=BLUE, markersize=4 * size, linewidth=0.6 + size, zorder=3)
+
+
+def legend_of(window: int, bounds: Bounds) -> dict[str, Any]:
+    """What to hand to `legend`: marks larger and darker than those in the panels, which are faint for being many."""
+    dot: dict[str, Any] = {"color": DOT, "linestyle": "none"}
+    handles = [
+        Line2D([], [], marker=".", markersize=6, label="single episode", **dot),
+        Line2D([], [], color=BLUE, linewidth=1.6, label=f"mean of {window} episodes"),
+    ]
+    if bounds.outside:
+        handles.append(Line2D([], [], marker="^", markersize=5, label="single episode off the scale", **dot))
+    return {"handles": handles, "ncols": len(handles), "frameon": False, "fontsize": 8.5}
+
+
+def _set_scales(axes: Axes, bounds: Bounds) -> None:
+    axes.set_xlim(0, bounds.last_episode)
+    axes.set_ylim(bounds.low, bounds.high + HEADROOM * (bounds.high - bounds.low))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins="auto", steps=[1, 2, 5, 10], integer=True))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+
+
+def _draw_single_returns(axes: Axes, returns: NDArray[np.float64], bounds: Bounds, size: float) -> None:
+    """A dot for each return, [E]; one out of bounds is a triangle at the edge, not dropped unseen."""
+    episodes = np.arange(1, len(returns) + 1)
+    # The lower bound is the frame itself, so triangles stand a little above it.
+    shown = np.clip(returns, bounds.low + 0.012 * (bounds.high - bounds.low), bounds.high)
+    below, above = returns < bounds.low, returns > bounds.high
+    for marker, chosen, area in ((".", ~(below | above), 14), ("v", below, 18), ("^", above, 18)):
+        axes.scatter(
+            episodes[chosen], shown[chosen], s=area * size, c=DOT, marker=marker, alpha=0.45, linewidths=0, zorder=2
+        )
+
+
+def draw_learning_curve(
+    path: str | Path, episode_returns: Sequence[float], *, window: int = 20, first_lap_episode: int | None = None
+) -> None:
+    """Writes a picture of one run's learning curve.
+
+    Args:
+        path: where to write it, a .png, .pdf or .svg; the folder must exist.
+        episode_returns: one per finished episode, in order, [E]; may be empty.
+        window: episodes per mean.
+        first_lap_episode: where to mark the greedy policy's first lap, counted from 1; None for no mark.
+    """
+    run = RunCurve(episode_returns, first_lap_episode)
+    bounds = common_bounds([run], window)
+    figure = new_figure(height=3.6)
+    axes = figure.subplots()
+    draw_panel(axes, run, window, bounds, size=1.0)
+    if len(episode_returns) == 0:
+        axes.set_yticks([])
+    if first_lap_episode is not None:
+        _label_first_lap(axes, first_lap_episode)
+    axes.set_xlabel("episode", color=INK, fontsize=9)
+    axes.set_ylabel("return per episode", color=INK, fontsize=9)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, **legend_of(window, bounds))
+    save_figure(figure, path)
+
+
+def draw_learning_curves(path: str | Path, runs: Mapping[str, RunCurve], *, window: int = 20) -> None:
+    """Writes a picture of many runs' learning curves as small multiples with common axes.
+
+    Args:
+        path: where to write it, a .png, .pdf or .svg; the folder must exist.
+        runs: label to run, in the order of the panels: row by row, at most five in a row.
+        window: episodes per mean.
+
+    Raises:
+        ValueError: there is no run.
+    """
+    if not runs:
+        raise ValueError("there is no run to draw; hand over at least one")
+    bounds = common_bounds(runs.values(), window)
+    rows, columns = _grid(len(runs))
+    titles = [_wrap(label, TITLE_CHARACTERS // columns) for label in runs]
+    panel_height = (1.6 if columns > 2 else 2.2) + 0.14 * max(title.count("\n") + 1 for title in titles)
+    figure = new_figure(height=0.75 + panel_height * rows)
+    panels = list(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).flat)
+    for index, (axes, title, run) in enumerate(zip(panels, titles, runs.values(), strict=False)):
+        draw_panel(axes, run, window, bounds, size=0.6)
+        _title_panel(axes, title, run)
+        axes.tick_params(labelbottom=index + columns >= len(runs), labelsize=7)
+    for axes in panels[len(runs) :]:
+        axes.set_visible(False)
+    figure.supxlabel("episode", color=INK, fontsize=9)
+    figure.supylabel("return per episode", color=INK, fontsize=9)
+    figure.legend(loc="outside upper center", **legend_of(window, bounds))
+    save_figure(figure, path)
+
+
+def _grid(count: int) -> tuple[int, int]:
+    """Rows and columns for so many panels, rows as equally full as can be."""
+    rows = math.ceil(count / MOST_COLUMNS)
+    return rows, math.ceil(count / rows)
+
+
+def _wrap(label: str, characters: int) -> str:
+    """The label in lines of so many characters; of a long one the end, where the runs of a sweep differ."""
+    lines = textwrap.wrap(re.sub(r",\s*", ", ", label), characters) or [""]
+    if len(lines) > MOST_TITLE_LINES:
+        lines = lines[-MOST_TITLE_LINES:]
+        lines[0] = "..." + lines[0][3:]
+    return "\n".join(lines)
+
+
+def _title_panel(axes: Axes, title: str, run: RunCurve) -> None:
+    """The run's title and, below it, whether and when it lapped."""
+    lap = "no lap" if run.first_lap_episode is None else f"first lap: episode {run.first_lap_episode:,}"
+    colour = FAINT if run.first_lap_episode is None else VERMILLION
+    axes.set_title(title, fontsize=8.5, color=INK, loc="left", pad=14, parse_math=False)
+    axes.annotate(lap, (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", fontsize=7, color=colour)
+
+
+def _label_first_lap(axes: Axes, episode: int) -> None:
+    """Writes beside the dashed line, on the side with more room, in the headroom above the returns."""
+    on_the_right = episode < sum(axes.get_xlim()) / 2
+    axes.annotate(
+        f"first greedy lap: episode {episode:,}",
+        (episode, 1),
+        (6 if on_the_right else -6, -2),
+        xycoords=axes.get_xaxis_transform(),
+        textcoords="offset points",
+        ha="left" if on_the_right else "right",
+        va="top",
+        fontsize=8.5,
+        color=VERMILLION,
+    )

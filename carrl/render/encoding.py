@@ -1,0 +1,138 @@
+"""Pictures into the content of a video file, H.264 or GIF, by PyAV.
+
+Shapes: `H` and `W` pixels, `N` colours.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carrl.errors import CarrlError
+from carrl.render.canvas import Picture
+from carrl.render.colours import BLACK, BLUE, FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW, rgb
+
+BT709, LIMITED = 1, 1
+"""H.264's numbers for the colours of high definition, and for brightness from 16 to 235."""
+OLD_TRAIL, RULE = "#a8a8a8", "#e0e0e0"
+"""The line driven long ago, and thin lines between parts of a panel."""
+_FOREGROUNDS = (
+    *(INK, FAINT, BLACK, BLUE, VERMILLION, GREEN, YELLOW),
+    *(LIGHT.wall, OLD_TRAIL, LIGHT.centreline, RULE),
+)
+_SHADES = 8
+"""Steps from a background to a colour on it: at an antialiased edge the two are mixed."""
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How pictures become a file.
+
+    Attributes:
+        ending: of the file's name.
+        codec: FFmpeg's name of the compression.
+        layout: FFmpeg's name of how a picture's colours are stored.
+        width: of a picture, pixels.
+        height: of a picture, pixels.
+        rate: pictures per second.
+        file_options: of the file format.
+        options: of the codec.
+    """
+
+    ending: str
+    codec: str
+    layout: str
+    width: int
+    height: int
+    rate: int
+    file_options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
+
+
+MP4 = Encoding(
+    ending=".mp4",
+    codec="libx264",
+    layout="yuv420p",
+    width=1280,
+    height=720,
+    rate=30,
+    file_options={"movflags": "+faststart"},  # a browser can begin before it has the whole file
+    options={"preset": "veryfast", "crf": "20"},
+)
+GIF = Encoding(ending=".gif", codec="gif", layout="pal8", width=640, height=360, rate=20)
+"""A GIF's pictures last whole hundredths of a second, and many viewers slow down what is faster than 50 a second."""
+
+
+def encoded(encoding: Encoding, pictures: Iterable[Picture]) -> bytes:
+    """The content of a video file of at least one picture, [H, W, 3] each.
+
+    Raises:
+        CarrlError: PyAV is not installed.
+    """
+    av = _pyav()
+    frames = _high_definition_frames if encoding is MP4 else _palette_frames
+    with TemporaryDirectory(prefix="carrl-") as folder:
+        file = Path(folder, "video" + encoding.ending)
+        with av.open(file, "w", options=dict(encoding.file_options)) as container:
+            stream = _new_stream(container, encoding)
+            for frame in frames(av, pictures):
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+        return file.read_bytes()
+
+
+def _pyav() -> Any:
+    try:
+        import av
+    except ImportError as error:
+        raise CarrlError("a video needs PyAV, which is not installed: pip install 'carrl[export]'") from error
+    return av
+
+
+def _high_definition_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
+    for picture in pictures:
+        yield av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=MP4.layout, dst_colorspace=BT709)
+
+
+def _palette_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
+    """Frames of the nearest colours of one palette, so that what stands still is the same in all of them."""
+    colours = gif_palette()
+    nearest = _nearest(colours)
+    palette = np.zeros((256, 4), np.uint8)
+    palette[:, 0], palette[: len(colours), 1:] = 255, colours
+    for picture in pictures:
+        red, green, blue = (picture >> 3).astype(np.uint16).transpose(2, 0, 1)
+        yield av.VideoFrame.from_ndarray((nearest[red << 10 | green << 5 | blue], palette), format=GIF.layout)
+
+
+def _nearest(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The colour [N, 3] that is nearest to each of 32 levels of red, green and blue: its index, [32,768]."""
+    levels = np.round(np.linspace(0, 255, 32))
+    mixtures = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+    palette = colours.astype(np.float64)
+    squares = (palette**2).sum(axis=1) - 2 * mixtures @ palette.T
+    return squares.argmin(axis=1).astype(np.uint8)
+
+
+def _new_stream(container: Any, encoding: Encoding) -> Any:
+    """A track of the file for pictures to be encoded."""
+    stream = container.add_stream(encoding.codec, rate=encoding.rate, options=dict(encoding.options))
+    stream.width, stream.height, stream.pix_fmt = encoding.width, encoding.height, encoding.layout
+    if encoding is MP4:
+        stream.thread_type = "FRAME"  # several pictures at a time, beside the drawing of the next
+        context = stream.codec_context
+        context.colorspace = context.color_primaries = context.color_trc = BT709
+        context.color_range = LIMITED
+    return stream
+
+
+def gif_palette() -> NDArray[np.uint8]:
+    """Every colour that a picture has, or one very near to it, [N, 3], N at most 256: each on each background."""
+    mixed = np.linspace(0, 1, _SHADES)[:, None]
+    pairs = [(PAPER, colour) for colour in _FOREGROUNDS] + [(LIGHT.road, colour) for colour in _FOREGROUNDS]
+    ways = [(1 - mixed) * rgb(ground) + mixed * rgb(colour) for ground, colour in [*pairs, (LIGHT.car, INK)]]
+    return np.unique(np.round(np.vstack(ways)).astype(np.uint8), axis=0)

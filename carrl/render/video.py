@@ -1,0 +1,252 @@
+"""The video of one episode: the drive on its track, with the network's Q-values and the rewards beside it.
+
+Shapes: `F` frames, `T` steps, `R` rays.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carrl.errors import CarrlError
+from carrl.files import write_whole
+from carrl.log.trace import EpisodeTrace
+from carrl.render.canvas import Area, Canvas, Floats, Picture, PixelCanvas, Stroke, View, fitted
+from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
+from carrl.render.encoding import GIF, MP4, OLD_TRAIL, Encoding, encoded
+from carrl.render.episode import steps_of
+from carrl.render.panel import HEIGHT, WIDTH, Panel
+from carrl.render.scene import (
+    FILM,
+    Ground,
+    draw_car,
+    draw_cross,
+    draw_ground,
+    draw_line,
+    draw_rays,
+    draw_route,
+    draw_scale_bar,
+    ray_ends,
+)
+
+HOLD = 1.0
+"""How long the last picture stays, s."""
+AREA = Area(0, 56, 900, 664)
+"""Of the picture, below the title and beside the panel."""
+MARGIN = 34.0
+"""Around a track that is shown as a whole, for the numbers of the gates."""
+OVERVIEW = Area(16, 568, 204, 136)
+"""A map in the corner, when the camera follows the car."""
+LEAST_SCALE = 5.0
+"""Of a track that is shown as a whole, units per metre: with less, car and rays are too small to follow."""
+CLOSEST_SCALE = 11.0
+"""When the camera follows the car, at most, units per metre."""
+RANGES_SEEN = 2.4
+"""When the camera follows the car, it sees at least so many ranges of the sensor from top to bottom."""
+TRAIL = 300
+"""So many of the last steps are coloured by their action."""
+FLASH = 5
+"""For so many steps a gate lights up that was passed."""
+NEAR = 0.1
+"""A ray that reads less is drawn in red: the paper's threshold for too close to a wall."""
+JUMP = 0.2
+"""A ray whose reading changes by more than this share of its range within a step has met another wall."""
+
+
+def write_video(
+    path: str | Path, trace: EpisodeTrace, title: str, progress: Callable[[int, int], None] = lambda done, of: None
+) -> None:
+    """Writes a video of an episode as fast as it was driven, whole or not at all.
+
+    Args:
+        path: where to write it; `.mp4` makes H.264, 1280 by 720 pixels, `.gif` a GIF of 640 by 360.
+        trace: the episode.
+        title: one line above the track; a long one is cut.
+        progress: called with the pictures drawn and those to draw, after each.
+
+    Raises:
+        CarrlError: the name has another ending, PyAV is not installed, or the file cannot be written.
+    """
+    path = Path(path)
+    encoding = next((encoding for encoding in (MP4, GIF) if encoding.ending == path.suffix.lower()), None)
+    if encoding is None:
+        raise CarrlError(f"'{path}' is no name of a video; it must end in .mp4 or .gif")
+    if not path.parent.is_dir():
+        raise CarrlError(f"'{path}' cannot be written: there is no folder '{path.parent}'; make it first")
+    write_whole(path, encoded(encoding, _pictures(trace, title, encoding, progress)))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """An episode at equally spaced times.
+
+    Attributes:
+        steps: the step that is being made, [F].
+        shares: how much of it is done, [F], in [0, 1]; 1 only at the very end.
+        poses: x m, y m, heading rad, [F, 3].
+        ranges: of the rays, [F, R], m.
+    """
+
+    steps: NDArray[np.int64]
+    shares: Floats
+    poses: Floats
+    ranges: Floats
+
+    def __len__(self) -> int:
+        """Frames, F."""
+        return len(self.steps)
+
+
+def motion_of(trace: EpisodeTrace, rate: float) -> Motion:
+    """The episode at so many times per simulated second, the last one at its end."""
+    steps_per_frame = 1 / (rate * trace.scene.time_step)
+    # The margin keeps rounding from showing a step one frame late.
+    progress = np.append(np.arange(0, len(trace) - 1e-6, steps_per_frame) + 1e-9, len(trace))
+    steps = np.minimum(progress.astype(np.int64), len(trace) - 1)
+    shares = progress - steps
+    return Motion(steps, shares, _poses_between(trace, steps, shares), _ranges_between(trace, steps, shares))
+
+
+@dataclass(frozen=True, eq=False)
+class WorldPicture:
+    """The left of a frame: the track, the line driven so far, the car and its rays.
+
+    Attributes:
+        trace: the episode.
+    """
+
+    trace: EpisodeTrace
+
+    def draw(self, canvas: Canvas, step: int, share: float, pose: Floats, ranges: Floats) -> None:
+        """Draws the step being made, of which a share is done, the car's pose [3] and what its rays read [R], m."""
+        view = View(AREA, pose[:2], self._follow_scale) if self._follows else self._whole
+        lit = [gate for passed, gate in self.trace.passings if gate >= 0 and passed < step <= passed + FLASH]
+        draw_ground(canvas, view, self._ground, FILM, lit)
+        _draw_direction(canvas, view.places(self._ground.gates[-1]))
+        _number_gates(canvas, view, self._ground.gates)
+        self._draw_trail(canvas, view, step, pose)
+        scene = self.trace.scene
+        reaches = ranges / scene.sensor_range
+        colours = [VERMILLION if reach < NEAR else GREEN for reach in reaches]
+        draw_rays(canvas, view, pose[:2], ray_ends(pose, ranges, scene.sensor_angles), colours, reaches < 1, FILM)
+        draw_car(canvas, view, pose, scene.body_radius, FILM)
+        if share == 1 and self.trace.ended == "collision":
+            draw_cross(canvas, view.places(pose[:2]), 9, VERMILLION)
+        draw_scale_bar(canvas, view, OVERVIEW.right + 20 if self._follows else 24, AREA.bottom - 18, FILM)
+        if self._follows:
+            self._draw_overview(canvas, step, pose)
+        canvas.box(0, 0, AREA.right, AREA.top, PAPER)
+
+    @cached_property
+    def _ground(self) -> Ground:
+        return Ground.of(self.trace.track)
+
+    @cached_property
+    def _whole(self) -> View:
+        return View.whole(self._ground.bounds, AREA.inset(MARGIN))
+
+    @cached_property
+    def _follow_scale(self) -> float:
+        return min(CLOSEST_SCALE, AREA.height / (RANGES_SEEN * self.trace.scene.sensor_range))
+
+    @property
+    def _follows(self) -> bool:
+        return self._whole.scale < min(LEAST_SCALE, self._follow_scale)
+
+    @cached_property
+    def _known(self) -> NDArray[np.bool_]:
+        """Whether the log tells where each step led, [T]."""
+        return np.diff(steps_of(self.trace)) == 1
+
+    def _draw_trail(self, canvas: Canvas, view: View, step: int, pose: Floats) -> None:
+        """The line to the car's pose, old parts of it in grey; where the log lacks a step there is none."""
+        way = np.vstack([self.trace.poses[: step + 1, :2], pose[None, :2]])
+        pieces, known = np.stack([way[:-1], way[1:]], axis=1), self._known[: step + 1]
+        palette = [*LIGHT.action_colours(len(self.trace.scene.action_names)), OLD_TRAIL]
+        colours = self.trace.actions[: step + 1].copy()
+        colours[:-TRAIL] = len(palette) - 1
+        draw_line(canvas, view, pieces[known], colours[known], palette, FILM.line.width(view))
+
+    def _draw_overview(self, canvas: Canvas, step: int, pose: Floats) -> None:
+        """The whole track in the corner, with the line driven and the car as a dot."""
+        view = View.whole(self._ground.bounds, OVERVIEW.inset(12))
+        canvas.box(OVERVIEW.left, OVERVIEW.top, OVERVIEW.width, OVERVIEW.height, PAPER, Stroke(FAINT, 1))
+        draw_route(canvas, view, self._ground, Stroke(LIGHT.centreline, 3))
+        canvas.line(view.places(self.trace.poses[: step + 1, :2]), Stroke(INK, 1.5))
+        canvas.disc(view.places(pose[:2]), 5, YELLOW, Stroke(INK, 1.5))
+
+
+def _pictures(
+    trace: EpisodeTrace, title: str, encoding: Encoding, progress: Callable[[int, int], None]
+) -> Iterator[Picture]:
+    """Every picture of the video, the last one as often as it takes to hold it."""
+    motion, canvas = motion_of(trace, encoding.rate), PixelCanvas(WIDTH, HEIGHT, encoding.width / WIDTH)
+    world, panel = WorldPicture(trace), Panel(trace, LIGHT.action_colours(len(trace.scene.action_names)))
+    for frame in range(len(motion)):
+        step, share = int(motion.steps[frame]), float(motion.shares[frame])
+        canvas.clear(PAPER)
+        world.draw(canvas, step, share, motion.poses[frame], motion.ranges[frame])
+        panel.draw(canvas, step, share)
+        _draw_title(canvas, trace, title, over=frame == len(motion) - 1)
+        picture = canvas.picture()
+        yield picture
+        progress(frame + 1, len(motion))
+    for _ in range(round(HOLD * encoding.rate)):
+        yield picture
+
+
+def _draw_title(canvas: Canvas, trace: EpisodeTrace, title: str, over: bool) -> None:
+    """The title and, when it is over, how the episode ended."""
+    canvas.text((24, 38), fitted(title, 22, 560), 22, INK, bold=True)
+    if over:
+        what = "the record ends" if trace.ended == "unfinished" else trace.ended
+        colour = VERMILLION if trace.ended == "collision" else FAINT
+        duration = (trace.columns["step"][-1] + 1) * trace.scene.time_step
+        canvas.text((884, 38), f"{what} after {duration:,.1f} s", 20, colour, bold=True, anchor="rs")
+
+
+def _draw_direction(canvas: Canvas, line: Floats) -> None:
+    """Before the start line, from its left to its right end [2, 2], a triangle in the driving direction."""
+    across = (line[1] - line[0]) / max(1e-9, float(np.linalg.norm(line[1] - line[0])))
+    forward, middle = np.array([across[1], -across[0]]), line.mean(axis=0)
+    canvas.area([[middle + 8 * forward + 7 * across, middle + 8 * forward - 7 * across, middle + 20 * forward]], INK)
+
+
+def _number_gates(canvas: Canvas, view: View, gates: Floats) -> None:
+    """A number beside the left end of each gate [G, 2, 2] that is in the picture; the last one is the start."""
+    ends = view.places(gates)
+    outwards = ends[:, 0] - ends[:, 1]
+    places = ends[:, 0] + 16 * outwards / np.maximum(1e-9, np.linalg.norm(outwards, axis=1))[:, None]
+    for gate in np.flatnonzero(view.area.inset(12).holds(places)):
+        name = "start" if gate == len(gates) - 1 else str(gate + 1)
+        canvas.text(places[gate], name, 15, FAINT, anchor="mm")
+
+
+def _poses_between(trace: EpisodeTrace, steps: NDArray[np.int64], shares: Floats) -> Floats:
+    """Poses on the arcs of constant curvature from one pose to the next, [F, 3]; the first where a step is missing."""
+    known = np.diff(steps_of(trace)) == 1
+    begin, end = trace.poses[steps], trace.poses[steps + known[steps]]
+    chord = end[:, :2] - begin[:, :2]
+    yaw = (end[:, 2] - begin[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    # A part of an arc has a shorter chord, turned back by half of the turn that is still to come.
+    length = np.linalg.norm(chord, axis=1) * shares * np.sinc(shares * yaw / 2 / np.pi) / np.sinc(yaw / 2 / np.pi)
+    direction = np.arctan2(chord[:, 1], chord[:, 0]) - (1 - shares) * yaw / 2
+    return np.column_stack(
+        [
+            begin[:, 0] + length * np.cos(direction),
+            begin[:, 1] + length * np.sin(direction),
+            begin[:, 2] + shares * yaw,
+        ]
+    )
+
+
+def _ranges_between(trace: EpisodeTrace, steps: NDArray[np.int64], shares: Floats) -> Floats:
+    """Ranges in proportion, or where a ray leaves one wall for another, the nearer of the two in time, [F, R]."""
+    known = np.diff(steps_of(trace)) == 1
+    begin, end = trace.ranges[steps], trace.ranges[steps + known[steps]]
+    share = shares[:, None]
+    jumps = np.abs(end - begin) > JUMP * trace.scene.sensor_range
+    return np.asarray(begin + np.where(jumps, share >= 0.5, share) * (end - begin))

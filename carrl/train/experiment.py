@@ -1,0 +1,321 @@
+"""One training run, from its configuration to its pictures: what `carrl train`, `carrl tune` and Python go through."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from torchrl import logger as torchrl_logger
+
+from carrl.config import build_node, foreign_targets, is_whole_number, module_of, name_for_trust
+from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
+from carrl.log.writer import LogWriter
+from carrl.sim.drivability import Car, unsuitable
+from carrl.task.world import World
+from carrl.tracks.centreline import gap_of
+from carrl.tracks.track import Track
+from carrl.train.build import Pipeline, build_pipeline, logs_of
+from carrl.train.checkpoint import StateFile
+from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
+from carrl.train.folder import RunFolder, check_tables
+from carrl.train.inputs import Inputs, check_inputs, checksums
+from carrl.train.new_folder import LOCK, check_holds_no_run, locked
+from carrl.train.provenance import describe_run, log_schema
+from carrl.train.replicate_run import ReplicateRun
+from carrl.train.scalars import Scalars
+from carrl.train.trainer import Trainer
+
+Config = dict[str, Any]
+Summary = dict[str, Any]
+"""What `summary.json` holds."""
+MOST_THREADS = 1024
+"""More than any machine has cores; torch takes no number of more than 31 bits."""
+
+
+class Observer:
+    """Follows a training run from outside; override what is of use."""
+
+    def on_start(self, trainer: Trainer) -> None:
+        """Called once before the first round."""
+
+    def on_round(self, trainer: Trainer) -> None:
+        """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
+
+    def on_end(self) -> None:
+        """Called once after the last round, also where an error ended the run."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A training run.
+
+    Attributes:
+        config: resolved, as plain values.
+        folder: where the results go.
+        records: further files beside the configuration, by name, that say how the run was asked for.
+    """
+
+    config: Config
+    folder: Path
+    records: Mapping[str, str] = field(default_factory=dict)
+
+    def run(self, observers: Sequence[Observer] = ()) -> list[Summary]:
+        """Trains in a folder that holds no run yet; returns each replicate's summary.
+
+        Raises:
+            CarrlError: whatever ended the run before its time; one that did not begin leaves nothing behind.
+        """
+        with locked(self.folder):
+            check_holds_no_run(self.folder)
+            with self._leaving_nothing_if_refused():
+                return self.go_on(None, observers)
+
+    def go_on(self, state: dict[str, Any] | None, observers: Sequence[Observer] = ()) -> list[Summary]:
+        """Goes on with a run, whose folder must be locked, from its latest state; None if it has none yet.
+
+        A run that was stopped early says so in its summaries, whose `finished` is false.
+
+        Raises:
+            CarrlError: whatever ended the run before its time.
+        """
+        torchrl_logger.setLevel("WARNING")
+        torch.set_num_threads(_checked_threads(self.config["threads"]))
+        with _naming_exhaustion(), ExitStack() as stack:
+            try:
+                trainer = self._prepare(state, stack)
+            except KeyError as error:  # of the log's own part of the state
+                if state is None:
+                    raise
+                raise CheckpointError(
+                    f"run '{self.folder}': the state does not fit the run's configuration: {error}"
+                ) from error
+            if state is not None:
+                trainer.load_state_dict(state)
+            _train(trainer, observers)
+            summaries = self._write_summaries(trainer)
+        if not trainer.stopping:
+            _draw(trainer)
+        return summaries
+
+    @contextmanager
+    def _leaving_nothing_if_refused(self) -> Iterator[None]:
+        """Removes the records of a run that was refused before it began."""
+        try:
+            yield
+        except CarrlError:
+            records = {CONFIG.parent, CONFIG, *(CONFIG.with_name(name) for name in self.records)}
+            found = {path.relative_to(self.folder) for path in self.folder.rglob("*")} - {Path(LOCK)}
+            if found <= records:
+                for path in sorted(found, reverse=True):
+                    (self.folder / path).rmdir() if path == CONFIG.parent else (self.folder / path).unlink()
+            raise
+
+    def _prepare(self, state: Mapping[str, Any] | None, stack: ExitStack) -> Trainer:
+        """The training, its folders opened."""
+        pipeline = build_pipeline(self.config)
+        inputs = checksums(pipeline.world.circuits, logs_of(self.config))
+        self._check_is_as_left(pipeline, inputs, state)
+        _write(self.folder / CONFIG, as_yaml(self.config))
+        for name, text in self.records.items():
+            _write(self.folder / CONFIG.with_name(name), text)
+        folders = []
+        state_file = StateFile(self.folder, self.config, pipeline.plan.checkpoint_interval, inputs)
+        for index, seed in enumerate(pipeline.algorithm.seeds):
+            path, config = self._replicate(seed)
+            own_state, scalars = state["folders"][index] if state else None, _open_scalars(path, config)
+            log = _open_log(path, config, pipeline, seed, own_state, state_file)
+            if log is not None:
+                stack.enter_context(log)  # which completes it where the folder is refused
+            folders.append(stack.enter_context(RunFolder(path, log, own_state, scalars)))
+        return Trainer(pipeline, folders, state_file)
+
+    def _check_is_as_left(self, pipeline: Pipeline, inputs: Inputs, state: Mapping[str, Any] | None) -> None:
+        """Refuses, before anything is written, what is not as the state's run had it."""
+        if state is None:
+            return
+        check_inputs(self.folder, state["inputs"], inputs)
+        seeds = pipeline.algorithm.seeds
+        if len(state["folders"]) != len(seeds):
+            raise CheckpointError(
+                f"run '{self.folder}': the state does not fit the run's configuration: it has other seeds"
+            )
+        for seed, own in zip(seeds, state["folders"], strict=True):
+            check_tables(self._folder_of(seed), own)
+
+    def _folder_of(self, seed: int) -> Path:
+        """Where a replicate leaves its results: the run's own folder, or one below it where there are several."""
+        return self.folder if self.config["trainer"].get("seeds") is None else self.folder / f"seed={seed}"
+
+    def _replicate(self, seed: int) -> tuple[Path, Config]:
+        """A replicate's folder, and its configuration as if trained alone."""
+        path = self._folder_of(seed)
+        if path == self.folder:
+            return path, self.config
+        config = {**self.config, "seed": seed, "trainer": {**self.config["trainer"], "seeds": None}}
+        _write(path / CONFIG, as_yaml(config))
+        return path, config
+
+    def _write_summaries(self, trainer: Trainer) -> list[Summary]:
+        own = [name_for_trust(module) for module in own_modules(self.config)]
+        summaries = [{**summary, **({"trust": own} if own else {})} for summary in trainer.summaries()]
+        for run, summary in zip(trainer.runs, summaries, strict=True):
+            run.folder.write_summary(summary)
+        return summaries
+
+
+def own_modules(config: Config) -> list[str]:
+    """The modules, other than CarRL's, whose parts a run is made of, and which must be trusted to open it again."""
+    return sorted({module_of(str(target)) for target in foreign_targets(config).values()})
+
+
+def road_warning(tracks: Sequence[Track], world: World) -> str | None:
+    """One sentence if any of the tracks does not suit the car, with what is wrong of the first."""
+    threshold = world.reward.near_wall.threshold if world.reward.near_wall.weight else 0.0
+    car = Car.of(world.vehicle, world.sensor, threshold)
+    found = [(track, phrases) for track in tracks if (phrases := _phrases(track, car))]
+    if not found:
+        return None
+    (first, phrases), count = found[0], len(tracks)
+    subject = f"track '{first.name}' does" if count == 1 else f"{len(found)} of {count} tracks do"
+    place = "" if count == 1 else f"track '{first.name}': "
+    return (
+        f"warning: {subject} not suit the car; {place}{'; '.join(phrases)}; set vehicle.turn_radius, "
+        "vehicle.body_radius, vehicle.speed and sensor.max_range to its size, see carrl track check"
+    )
+
+
+def _phrases(track: Track, car: Car) -> list[str]:
+    gap = gap_of(track.centreline.double().numpy())
+    return [*([] if gap is None else [gap]), *unsuitable(track, car)]
+
+
+def _train(trainer: Trainer, observers: Sequence[Observer]) -> None:
+    """Trains until the run is over or stopped."""
+
+    def on_round(trainer: Trainer) -> None:
+        for observer in observers:
+            observer.on_round(trainer)
+
+    with ExitStack() as stack:
+        for observer in observers:
+            stack.callback(observer.on_end)
+            observer.on_start(trainer)
+        try:
+            trainer.run(on_round)
+        except KeyboardInterrupt:  # how `interrupt` ends a compilation
+            if not trainer.stopping:
+                raise
+
+
+def _checked_threads(threads: Any) -> int:
+    """The number of threads.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not is_whole_number(threads) or not 1 <= threads <= MOST_THREADS:
+        raise ConfigError(f"threads is {shown(threads)}; it must be a whole number from 1 to {MOST_THREADS}")
+    return int(threads)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CarrlError(f"the run's folder '{path.parents[1]}' cannot be written: {error.strerror}") from error
+    write_text(path, text)
+
+
+def _open_log(
+    path: Path, config: Config, pipeline: Pipeline, seed: int, state: Mapping[str, Any] | None, state_file: StateFile
+) -> LogWriter | None:
+    env = pipeline.source.env
+    if not config.get("recorder") or env is None:
+        return None
+    log: LogWriter = build_node(
+        "recorder",
+        config["recorder"],
+        path=path / LOG,
+        schema=log_schema(env, pipeline.algorithm.log_columns),
+        attachments={
+            "config.yaml": as_yaml(config).encode(),
+            **{
+                f"track-{index}.json" if index else "track.json": json.dumps(track.as_dict()).encode()
+                for index, track in enumerate(env.tracks)
+            },
+        },
+        metadata=describe_run(env, seed, pipeline.source.cars),
+        state=state["log"] if state else None,
+        make_room=state_file.make_room,
+    )
+    return log
+
+
+def _open_scalars(path: Path, config: Config) -> Scalars | None:
+    if not config.get("logger"):
+        return None
+    scalars: Scalars = build_node("logger", config["logger"], folder=path, config=config)
+    return scalars
+
+
+def as_yaml(config: Config) -> str:
+    """The configuration as `.hydra/config.yaml` has it."""
+    return yaml.safe_dump(config, sort_keys=False)
+
+
+@contextmanager
+def _naming_exhaustion() -> Iterator[None]:
+    """Turns what Python, numpy and torch raise when memory runs out into one sentence."""
+    try:
+        yield
+    except MemoryError as error:
+        raise _exhausted() from error
+    except RuntimeError as error:  # torch's own for the CPU; for a GPU a kind of it
+        if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
+            raise _exhausted() from error
+        raise
+
+
+def _exhausted() -> CarrlError:
+    return CarrlError(
+        "out of memory; set a smaller replay_buffer.capacity, env.num_envs or trainer.seeds, and train anew, or, "
+        "if other programs took the memory, go on with resume="
+    )
+
+
+def _draw(trainer: Trainer) -> None:
+    for run in trainer.runs:
+        if trainer.source.transitions is None:
+            _draw_learning_curve(run)
+        _draw_lap(trainer.pipeline.world, run)
+
+
+def _draw_learning_curve(run: ReplicateRun) -> None:
+    from carrl.render.curves import draw_learning_curve  # Here, since Matplotlib takes long to import.
+
+    first_lap = run.first_lap.episode if run.first_lap else None
+    draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
+
+
+def _draw_lap(world: World, run: ReplicateRun) -> None:
+    from carrl.render.lap import draw_lap  # brings Matplotlib
+
+    if run.best is not None:
+        best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]
+        draw_lap(
+            run.folder.path / LAP,
+            track,
+            best.poses,
+            best.ranges,
+            world.sensor.angles.numpy(),
+            best.actions,
+            action_names=world.action.names,
+            body_radius=world.vehicle.body_radius,
+            sensor_range=world.sensor.max_range,
+            title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
+            collided=best.collided,
+        )

@@ -1,0 +1,332 @@
+"""The Python front door: `carrl.train("fast", seed=3)`, and the run that comes of it or lies in a folder."""
+
+import json
+import sys
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Self, TypeVar
+
+import numpy as np
+import torch
+import yaml
+from torch import Tensor
+
+from carrl.errors import CarrlError, CheckpointError, ConfigError
+from carrl.evaluation.results import Drive, tally
+from carrl.evaluation.rollout import Policy, Survey, random_policy, rule_policy, rule_world
+from carrl.log.reader import Log
+from carrl.task.world import World
+from carrl.tracks.circuits import Folder, load_folder
+from carrl.tracks.track import Track
+from carrl.train.build import build_world, load_greedy_policy
+from carrl.train.composition import composed, quote
+from carrl.train.experiment import Config, Experiment, Observer, Summary, own_modules, road_warning
+from carrl.train.files import LOG, SUMMARY, load_config, read_text, seed_folders
+from carrl.train.new_folder import locked, make_new
+from carrl.train.overrides import check_is_read, is_text, named_overrides, readable_overrides
+from carrl.train.plan import checked_seed
+from carrl.train.resumption import resume as resumption_of
+from carrl.train.trainer import Trainer
+
+Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
+PolicyName = Literal["greedy", "rule", "random"]
+Laps = list[list[Drive]]
+"""The drives of each track."""
+
+
+class Run:
+    """A run that has ended, by its folder.
+
+    Args:
+        folder: of a run, or of a run of several seeds.
+        trust: modules of one's own whose parts the run may name, as names or files: `("parts", "mine/parts.py")`.
+
+    Raises:
+        CarrlError: this is no run's folder, or it names parts of a module that is not trusted.
+    """
+
+    def __init__(self, folder: str | Path, trust: Sequence[str] = ()) -> None:
+        self.folder = Path(folder)
+        self._trust = (trust,) if isinstance(trust, str) else tuple(trust)
+        self._folders = seed_folders(self.folder)
+        self._configs = [load_config(each, self._trust) for each in self._folders]
+        self._has_seeds = self._folders != [self.folder]
+
+    @classmethod
+    def load(cls, folder: str | Path, trust: Sequence[str] = ()) -> Self:
+        """The run in this folder; `trust` names modules of one's own that it may use."""
+        return cls(folder, trust)
+
+    def __repr__(self) -> str:
+        """The folder."""
+        return f"Run({str(self.folder)!r})"
+
+    @cached_property
+    def replicates(self) -> list["Run"]:
+        """A run for each of several seeds; the run itself where it has one."""
+        return [Run(folder, self._trust) for folder in self._folders] if self._has_seeds else [self]
+
+    @property
+    def config(self) -> Config:
+        """The resolved configuration, of the first of several seeds."""
+        return self._configs[0]
+
+    @property
+    def summary(self) -> Summary | list[Summary]:
+        """What `summary.json` holds; a list of these where there are several seeds.
+
+        Raises:
+            CheckpointError: the run has not come to its end, or the file is damaged.
+        """
+        summaries = [_read_summary(folder) for folder in self._folders]
+        return summaries if self._has_seeds else summaries[0]
+
+    @cached_property
+    def world(self) -> World:
+        """The tracks, car, sensors and reward of the run."""
+        return build_world(self.config)
+
+    @cached_property
+    def policy(self) -> "DrivingPolicy":
+        """The policy of the run's best network, without exploration: an observation to an action.
+
+        Raises:
+            CarrlError: there are several seeds, or there is no such checkpoint.
+        """
+        if self._has_seeds:
+            raise CarrlError(
+                f"{self!r} has {len(self._folders)} seeds; take the policy of one: run.replicates[0].policy"
+            )
+        return DrivingPolicy(load_greedy_policy(self.folder, "best", self.config, self.world))
+
+    @property
+    def log(self) -> Log:
+        """The run's log, opened: use it in a `with` statement.
+
+        Raises:
+            LogError: there is none, or it is damaged.
+        """
+        return Log(self._folders[0] / LOG)
+
+    def evaluate(
+        self,
+        tracks: str | Path | Track | Sequence[str | Path | Track] = (),
+        starts: int = 1,
+        policy: PolicyName = "greedy",
+        checkpoint: str = "best",
+    ) -> dict[str, Any]:
+        """Drives the run's policies, and a hand-written rule beside them, and measures how well they drive.
+
+        Args:
+            tracks: names, files, folders of files, or tracks; none for those on which the run was evaluated.
+            starts: places on each track, spread evenly from its start line on.
+            policy: the run's own, or a baseline in its car.
+            checkpoint: which of the run's networks, `best` or `last`.
+
+        Returns:
+            What `carrl evaluate --json` prints.
+
+        Raises:
+            CarrlError: a track or a checkpoint cannot be read.
+        """
+        loaded, refused = load_tracks([tracks] if isinstance(tracks, str | Path | Track) else tracks)
+        circuits = loaded or list(self.world.circuits.validation)
+        count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
+        chosen = list(zip(self._folders[:count], self._configs, strict=False))
+        survey = Survey(self.world, circuits, starts)
+        policies = [self._policy_of(folder, config, policy, checkpoint) for folder, config in chosen]
+        laps = [survey.drive(each, rule_world(self.world) if each is rule_policy else self.world) for each in policies]
+        rule = survey.drive(rule_policy, rule_world(self.world)) if policy != "rule" else None
+        step_length = self.world.vehicle.step_length
+        document: dict[str, Any] = {
+            "run": str(self.folder),
+            "policy": policy,
+            **_figures(circuits, laps, rule, step_length),
+            **({"refused": refused} if refused else {}),
+        }
+        if count > 1:
+            document["runs"] = [
+                {"run": str(folder), "seed": config["seed"], **_figures(circuits, [own], None, step_length)}
+                for (folder, config), own in zip(chosen, laps, strict=True)
+            ]
+        return document
+
+    def _policy_of(self, folder: Path, config: Config, policy: PolicyName, checkpoint: str) -> Policy:
+        if policy == "rule":
+            return rule_policy
+        if policy == "random":
+            return random_policy(checked_seed(config["seed"]), self.world.action)
+        return load_greedy_policy(folder, checkpoint, config, self.world)
+
+
+@dataclass(frozen=True)
+class DrivingPolicy:
+    """Actions for observations, as tensors or as arrays, of one car or of many.
+
+    Attributes:
+        of_many: observations [B, O] to actions [B, ...].
+    """
+
+    of_many: Policy
+
+    def __call__(self, observation: Array) -> Array:
+        """The action for an observation [O], or the actions for many [B, O], on the CPU, of the same kind of array."""
+        given = torch.as_tensor(observation, dtype=torch.float32)
+        with torch.no_grad():
+            actions = self.of_many(given if given.dim() > 1 else given[None])
+        actions = actions if given.dim() > 1 else actions[0]
+        return actions if isinstance(observation, Tensor) else actions.numpy()[()]
+
+
+def load_tracks(names: Sequence[str | Path | Track]) -> tuple[list[Track], dict[str, str]]:
+    """The tracks of these names, files and folders; and why files of a folder were left out."""
+    tracks: list[Track] = []
+    refused: dict[str, str] = {}
+    for name in names:
+        if isinstance(name, Track):
+            tracks.append(name)
+            continue
+        found = load_folder(Path(name)) if Path(name).is_dir() else Folder([Track.load(name)], {})
+        tracks += found.tracks
+        refused |= {str(path): reason for path, reason in found.refused.items()}
+    return tracks, refused
+
+
+def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_length: float) -> dict[str, Any]:
+    """The figures of each track and of all, each with those of the rule."""
+
+    def beside(laps: Laps | None) -> dict[str, Any]:
+        return {} if laps is None else {"rule": tally([[each for own in laps for each in own]], step_length)}
+
+    of_tracks = [
+        {
+            "track": track.name,
+            "length_m": track.length,
+            **tally([laps[index] for laps in runs], step_length),
+            "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
+            **beside(rule and [rule[index]]),
+        }
+        for index, track in enumerate(tracks)
+    ]
+    everything = [[each for own in laps for each in own] for laps in runs]
+    return {"tracks": of_tracks, "all": {**tally(everything, step_length), **beside(rule)}}
+
+
+def _read_summary(folder: Path) -> Summary:
+    try:
+        summary: Summary = json.loads(read_text(folder / SUMMARY))
+    except ValueError as error:
+        raise CheckpointError(f"'{folder / SUMMARY}' is damaged: {error}") from error
+    return summary
+
+
+def train(
+    experiment: str | None = None,
+    *,
+    overrides: Mapping[str, Any] | Sequence[str] = (),
+    folder: str | Path | None = None,
+    resume: str | Path | None = None,
+    config_dir: str | Path | None = None,
+    trust: Sequence[str] = (),
+    observers: Sequence[Observer] = (),
+    progress: bool = False,
+    **values: Any,
+) -> Run:
+    """Trains as `carrl train` does: `carrl.train("fast", seed=3, loss="double_dqn")`.
+
+    Args:
+        experiment: a named experiment of `conf/experiment`; None for the paper's run.
+        overrides: what keywords cannot say, `{"trainer.frames": 20_000}` or `["trainer.frames=20000"]`.
+        folder: for the results; None for a new one in `outputs/`.
+        resume: the folder of a run to go on with instead of beginning one.
+        config_dir: a folder of groups and experiments of your own, beside which your modules may lie.
+        trust: modules of your own that a run to be resumed may use.
+        observers: follow the training.
+        progress: print how it goes on standard error.
+        **values: of the configuration, by their keys; a mapping stands for the keys below.
+
+    Raises:
+        CarrlError: the configuration cannot be, or something ended the training before its time.
+    """
+    typed = [*_typed({**({"experiment": experiment} if experiment else {}), **values})]
+    typed += _typed(overrides) if isinstance(overrides, Mapping) else overrides
+    watching = [_Warner(), *([_Printer()] if progress else []), *observers]
+    if resume is not None:
+        return _resume(Path(resume), typed, trust, watching)
+    readable = readable_overrides(typed, is_sweep=None, verb="carrl.train", folder_key="folder=")
+    config = composed(readable, None if config_dir is None else Path(config_dir))
+    check_is_read(readable, config)
+    path = make_new(Path(f"outputs/{datetime.now():%Y-%m-%d/%H-%M-%S}")) if folder is None else Path(folder)
+    try:
+        Experiment(config, path, {"overrides.yaml": yaml.safe_dump(readable)}).run(watching)
+    except CarrlError:
+        with suppress(OSError):  # it is not empty, but for a run that was refused
+            path.rmdir()
+        raise
+    return Run(path, own_modules(config))
+
+
+def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], observers: Sequence[Observer]) -> Run:
+    load_config(run, trust)  # so that nothing is written to a folder that is no run's
+    with locked(run):
+        resumption = resumption_of(run, named_overrides(typed), trust)
+        Experiment(resumption.config, run).go_on(resumption.state, observers)
+    return Run(run, trust)
+
+
+def _typed(values: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    """The overrides that set these values."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _typed(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}={_as_typed(value)}"
+
+
+def _as_typed(value: Any) -> str:
+    """A value as it stands behind the equals sign of an override.
+
+    Raises:
+        ConfigError: it is no plain value.
+    """
+    if isinstance(value, str | Path):
+        return str(value) if is_text(f"key={value}") else quote(str(value))
+    if isinstance(value, list | tuple | range):
+        return f"[{','.join(map(_as_typed, value))}]"
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if isinstance(value, int | float | np.integer | np.floating):
+        return str(value)
+    if value == {}:
+        return "{}"
+    raise ConfigError(f"{value!r} is no value of a configuration; give a number, text, list or mapping")
+
+
+class _Warner(Observer):
+    """Warns of a track that does not suit the car."""
+
+    def on_start(self, trainer: Trainer) -> None:
+        world = trainer.pipeline.world
+        if (warning := road_warning(world.circuits.all, world)) is not None:
+            warnings.warn(warning.removeprefix("warning: "), stacklevel=2)
+
+
+class _Printer(Observer):
+    """Prints a line every few seconds."""
+
+    _INTERVAL_S = 2.0
+    _printed_at = 0.0
+
+    def on_round(self, trainer: Trainer) -> None:
+        if time.monotonic() < self._printed_at + self._INTERVAL_S:
+            return
+        self._printed_at = time.monotonic()
+        loss = sum(run.status.loss for run in trainer.runs) / len(trainer.runs)
+        done = f"{trainer.frames:,} env steps, {trainer.updates:,} updates, loss {loss:.4g}"
+        print(f"{min(trainer.share_done, 1):.0%}: {done}", file=sys.stderr)

@@ -1,0 +1,141 @@
+"""Every `carrl` command of the README and of docs/ runs as it is typed there, long ones scaled down.
+
+A command keeps its verb, flags, groups and keys. What it names is put in place (`outputs/DATE/TIME` is a small run,
+`FILE.csv` a track), and how long it takes is cut: frames, cars, replicates, circuits, trials.
+"""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from carrl.cli.main import main
+
+PAGES = [Path("README.md"), *sorted(Path("docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(?:console|sh|bash)\n(.*?)^```", re.M | re.S)
+SHORT = {
+    "trainer.frames": "96",
+    "evaluation.interval": "64",
+    "env.num_envs": "8",
+    "env.max_steps": "8",
+    "compile": "false",
+    "replay_buffer.capacity": "512",
+    "replay_buffer.batch_size": "16",
+}
+SHORT_FROM_LOG = {"data.updates": "4", "compile": "false", "replay_buffer.batch_size": "16"}
+FEW_CIRCUITS = {"track.count": "2", "track.validation": "1"}
+ELSEWHERE = {
+    "collector=ray": "needs a cluster: tests/data/test_ray_collector.py",
+    "hydra/launcher=": "needs processes or SLURM: tests/cli/test_sweep.py",
+    "logger=wandb": "needs a package: tests/train/test_scalars.py",
+    "logger=mlflow": "needs a package: tests/train/test_scalars.py",
+    "carrl drive": "opens a window: tests/cli/test_drive.py",
+    "--rerun": "opens a viewer: tests/export/test_rerun_recording.py",
+}
+"""What is not tried here, and where it is."""
+
+
+def documented():
+    """The distinct commands, each with the page that it is on first."""
+    found = {}
+    for page in PAGES:
+        for block in BLOCK.findall(page.read_text()):
+            for line in block.splitlines():
+                for command in re.sub(r"\$\(ls .*\)", "--track FILE.csv", line.removeprefix("$ ")).split(" && "):
+                    words = shlex.split(command, comments=True)
+                    if words[:1] in (["carrl"], ["scripts/train"]):
+                        found.setdefault(" ".join(words), (page, words))
+    return [pytest.param(words, id=f"{page.name}: {command}") for command, (page, words) in found.items()]
+
+
+COMMANDS = documented()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with a sweep of two runs and a track."""
+    folder = tmp_path_factory.mktemp("documented")
+    values = [f"{key}={value}" for key, value in SHORT.items()]
+    for loss in ("dqn", "double_dqn"):
+        path = folder / "sweep" / f"loss={loss}"
+        assert main(["train", "track=oval", *values, f"loss={loss}", f"hydra.run.dir={path}"]) == 0
+    assert main(["track", "random", "--seed", "1", "--out", str(folder / "track.csv")]) == 0
+    return folder
+
+
+@pytest.fixture
+def workplace(made, tmp_path, monkeypatch):
+    """A working directory in which the files that commands name are found."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("FILE.csv", "FOLDER/FILE.csv", "mine/a.csv", "with, comma.csv", "tight12/a.csv", "hard/a.csv"):
+        Path(name).parent.mkdir(exist_ok=True)
+        shutil.copy(made / "track.csv", name)
+    for folder in ("acute", "docs/images"):
+        Path(folder).mkdir(parents=True)
+    for name in ("A", "B", "RUN", "to-go-on"):
+        shutil.copytree(made / "sweep/loss=dqn", name)
+    shutil.copytree(made / "sweep/loss=double_dqn", "C")
+    shutil.copy("RUN/train.mcap", "train.mcap")
+    return tmp_path
+
+
+def in_place(word, made):
+    """The word with what stands for a run, a sweep, a log, a track or a folder replaced by one that is there."""
+    run = made / "sweep/loss=dqn"
+    key, is_flag, value = word.partition("=") if re.match(r"[a-z_./]+=", word) else ("", "", word)
+    if key == "resume":
+        return "resume=to-go-on"
+    if key in ("hydra.run.dir", "hydra.sweep.dir"):
+        return word
+    value = value.replace("$LOG", "train.mcap").replace("../shared/tracks/real", "FOLDER").replace("$loss", "cql")
+    value = re.sub(r"outputs/[^]\[]*train\.mcap|recovered.mcap$", "train.mcap", value)
+    value = re.sub(r"^outputs/(multirun/\S+|recipes|losses)$", str(made / "sweep"), value)
+    value = re.sub(r"^outputs/\S+$", str(run), value)
+    value = "FILE.csv" if value == "FILE" else value
+    return f"{key}{is_flag}{value}"
+
+
+def scaled(words):
+    """The words of `carrl train` with so few frames, cars, seeds and circuits that they take a second."""
+    words = [re.sub(r"(seeds=\[\d+)\.\.\d+\]", r"\1]", word) for word in words]
+    words = [re.sub(r"seed=range\(\d+,\d+\)", "seed=range(0,2)", word) for word in words]
+    short = dict(SHORT_FROM_LOG if "data=log" in words else SHORT)
+    if any(word in ("experiment=generalist", "track=circuits") for word in words):
+        short |= FEW_CIRCUITS
+    if any(word.startswith("resume=") for word in words):
+        short = {"trainer.frames": "480"}
+    words = [word for word in words if word.partition("=")[0] not in short]
+    return [*words, *(f"{key}={value}" for key, value in short.items())]
+
+
+def short(words):
+    """The same for the other verbs."""
+    flags = {"--trials": "2", "--count": "1", "--starts": "2", "--bin-size": "0.7", "--episode": "0"}
+    words = [flags.get(before, word) for before, word in zip(["", *words], words, strict=False)]
+    if words[0] == "tune":
+        return [*words, *(f"{key}={value}" for key, value in SHORT.items() if key in ("trainer.frames", "compile"))]
+    return words
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_a_documented_command_runs(words, workplace, made, capsys):
+    command = " ".join(words)
+    for part, reason in ELSEWHERE.items():
+        if part in command:
+            pytest.skip(reason)
+    is_output = [before in ("--out", "--folder") for before in ["", *words]]
+    words = [
+        word if out else in_place(word, made) for word, out in zip(words, is_output, strict=False) if word != "..."
+    ]
+    if words[1:3] == ["log", "recover"]:
+        words[4] = "another.mcap"
+    arguments = ["train", *scaled(words[1:])] if words[0] == "scripts/train" else words[1:]
+    arguments = ["train", *scaled(arguments[1:])] if arguments[0] == "train" else short(arguments)
+    code = main(arguments)
+    assert code == 0, capsys.readouterr().err
+
+
+def test_commands_are_found_in_the_pages():
+    assert {"train", "evaluate", "log", "track", "report", "tune"} <= {words.values[0][1] for words in COMMANDS}
