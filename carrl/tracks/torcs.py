@@ -96,7 +96,7 @@ class _Side:
             self._style = _text(section, f"{self._name[0].lower()}border style", self._style)
 
     def _number(self, section: Element, part: str, name: str, default: float) -> float:
-        """Of a section of its own, in version 4 of the format, or else of a name such as `lside width`, in version 3."""
+        """Of a section of its own, as in version 4 of the format, or else of a name such as `lside width`, as in 3."""
         of_part = self._section(section, part)
         if of_part is not None:
             value = self._reader.number(of_part, name, default)
