@@ -210,6 +210,7 @@ def test_a_bay_beside_the_road_keeps_its_walls(tmp_path):
         ({"mode": "raw"}, "mode is 'raw'; CarRL reads trinary and scale"),
         ({"image": "7"}, "image is 7; it must be the name"),
         ({"image": "other.png"}, "the picture 'other.png' is not there; put it beside the YAML file"),
+        ({"image": "a" * 5000}, r"the picture 'a{5,30}\.\.\.a*'? ?.*is not there; put it beside"),
         ({"image": "map.yaml"}, "the picture 'map.yaml' is damaged, or neither PNG nor PGM nor BMP"),
     ],
 )
