@@ -156,9 +156,9 @@ class TrackGeoJson(TrackParser):
 
     def make(self, draw: Random) -> None:
         """A ring, a star or points anywhere, with values or the text changed."""
-        table = _table(draw, 2) / 111_000 + [
-            draw.choice((0, 7, 179.999, -180, 720)),
-            draw.choice((0, 50, -37, 89.9999)),
+        table = _table(draw, 2) * draw.choice((1, 1, 3)) / 111_000 + [
+            draw.choice((0, 7, 7, 179.9)),
+            draw.choice((0, 50, -37, 89.9)),
         ]
         coordinates = [*table.round(7).tolist(), *table[:1].round(7).tolist()]
         values: dict[str, object] = {"type": "LineString", "coordinates": coordinates}

@@ -14,12 +14,14 @@ DIRECTIONS = ("clockwise", "counterclockwise")
 _FLAGS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("--scale", {"type": float, "default": 1.0, "metavar": "F", "help": "times as large, as 10 for a 1:10 car's road"}),
     ("--width", {"type": float, "metavar": "M", "help": "of the road, m, for a file without widths"}),
+    ("--walls", {"choices": ("road", "barriers"), "help": "of a track of TORCS: its edges, or what stops a car"}),
+    ("--circuit", {"metavar": "NAME", "help": "which one of a file that has many"}),
     ("--direction", {"choices": DIRECTIONS, "help": "to drive; default: that of the file"}),
 )
 
 
 def add_reading_flags(parser: argparse.ArgumentParser) -> None:
-    """Adds the options that `carrl train` knows as `track.scale`, `track.width` and `track.direction`."""
+    """Adds the options that `carrl train` knows as `track.scale`, `track.width` and so on."""
     for flag, options in _FLAGS:
         parser.add_argument(flag, **options)
 
@@ -29,7 +31,12 @@ def load_as_said(arguments: argparse.Namespace, name: str | None = None) -> "Tra
     from carrl.tracks.track import Track
 
     return Track.load(
-        name or arguments.track, scale=arguments.scale, width=arguments.width, direction=arguments.direction
+        name or arguments.track,
+        scale=arguments.scale,
+        width=arguments.width,
+        direction=arguments.direction,
+        walls=arguments.walls,
+        circuit=arguments.circuit,
     )
 
 
