@@ -19,7 +19,7 @@ _RANDOM = (
     "--widening",
     "--hairpins",
 )
-_READING = ("--scale", "--width", "--direction")
+_READING = ("--scale", "--width", "--walls", "--circuit", "--direction")
 FLAGS = {
     "train": overrides.FLAGS,
     "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--storage"),
