@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 """What nav2's map server requires; beside them may stand `mode`, and what other tools put there."""
 MAX_YAML_BYTES = 2**18
-LEAST_PIXELS, MOST_PIXELS = 9, 2**25
-MOST_IMAGE_BYTES = 2**26
+LEAST_PIXELS, MOST_PIXELS = 9, 2**24
+MOST_IMAGE_BYTES = 2**25
 TOLERANCE = 0.25
 """How far walls and centreline may be from the edges found in the picture after points are left out, pixels."""
 _FORMATS = ("PNG", "PPM", "BMP")
