@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carrl.cli.parser import Parser
-from carrl.cli.track_convert import add_convert_arguments, add_reading_flags, load_as_said, run_convert
+from carrl.cli.track_convert import (
+    add_convert_arguments,
+    add_reading_flags,
+    load_all_as_said,
+    load_as_said,
+    run_convert,
+)
 from carrl.errors import TrackError
 from carrl.printable import printable
 
@@ -150,20 +156,21 @@ def _check(arguments: argparse.Namespace) -> int:
     documents: list[dict[str, Any]] = []
     for name in _named(arguments.tracks):
         try:
-            track = load_as_said(arguments, name)
-            report = inspect_track(track, car.body_radius)
+            tracks = load_all_as_said(arguments, name)
+            reports = [inspect_track(track, car.body_radius) for track in tracks]
         except TrackError as error:
             exit_code = 2
             print(f"carrl: {printable(str(error))}", file=sys.stderr)
             documents.append({"path": name, "error": str(error)})
             continue
-        warnings = unsuitable(track, car) if report.width_min > 2 * car.body_radius else []
-        if is_given:
-            report, warnings = dataclasses.replace(report, faults=(*report.faults, *warnings)), []
-        exit_code = max(exit_code, 1 if report.faults else 0)
-        documents.append({"path": name, **_as_json(report), "notes": list(track.notes), "warnings": warnings})
-        if not arguments.json:
-            _print_report(report, car, warnings, track.notes)
+        for track, report in zip(tracks, reports, strict=True):
+            warnings = unsuitable(track, car) if report.width_min > 2 * car.body_radius else []
+            if is_given:
+                report, warnings = dataclasses.replace(report, faults=(*report.faults, *warnings)), []
+            exit_code = max(exit_code, 1 if report.faults else 0)
+            documents.append({"path": name, **_as_json(report), "notes": list(track.notes), "warnings": warnings})
+            if not arguments.json:
+                _print_report(report, car, warnings, track.notes)
     if arguments.json:
         _print_json(documents)
     return exit_code

@@ -30,14 +30,18 @@ def load_as_said(arguments: argparse.Namespace, name: str | None = None) -> "Tra
     """The track of that name, or the one of the arguments, read as their flags say."""
     from carrl.tracks.track import Track
 
-    return Track.load(
-        name or arguments.track,
-        scale=arguments.scale,
-        width=arguments.width,
-        direction=arguments.direction,
-        walls=arguments.walls,
-        circuit=arguments.circuit,
-    )
+    return Track.load(name or arguments.track, circuit=arguments.circuit, **_said(arguments))
+
+
+def load_all_as_said(arguments: argparse.Namespace, name: str) -> "list[Track]":
+    """All circuits of that name, or the one that the flags choose."""
+    from carrl.tracks.track import Track
+
+    return Track.load_all(name, **_said(arguments)) if arguments.circuit is None else [load_as_said(arguments, name)]
+
+
+def _said(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {name: getattr(arguments, name) for name in ("scale", "width", "direction", "walls")}
 
 
 def add_convert_arguments(parser: argparse.ArgumentParser) -> None:

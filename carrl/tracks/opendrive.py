@@ -19,6 +19,8 @@ from carrl.tracks.xml_file import read_xml
 
 DRIVEN = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane")
 """Types of the lanes that are road; walls stand beyond the outermost of them."""
+SHORTEST = 1e-6
+"""Length of a geometry, m; shorter ones are left out."""
 WIDEST_GAP = 0.5
 """Between the end of a piece of road and the beginning of the next one, m."""
 MAX_LENGTH = 1e5
@@ -200,7 +202,7 @@ class _Road:
         points, length = 0, 0.0
         for element in self._element.iterfind("planView/geometry"):
             piece = self._piece(element)
-            if piece.length == 0:
+            if piece.length < SHORTEST:
                 continue
             points, length = points + piece.steps, length + piece.length
             if points > MOST_POINTS or length > MAX_LENGTH or len(pieces) == MOST_PARTS:

@@ -26,6 +26,8 @@ UNITS = {
 """Of lengths and angles, in metres and radians, as TORCS has them: its foot is 1 um longer than the real one."""
 MAX_LENGTH = 1e5
 """Of the road, m; the longest track of TORCS has 22 km."""
+LEAST = 1e-6
+"""Of a length, m, and of an angle, rad."""
 MOST_STRETCHES, MOST_STEPS = 20_000, 1000
 """Of a road, and of one segment of changing radius; the 22 km have 1,083, and at most 31 in a segment."""
 WALLS = ("road", "barriers")
@@ -209,8 +211,8 @@ class _Reader:
 
     def _positive(self, segment: Element, name: str, default: float | None = None) -> float:
         value = self.number(segment, name, default)
-        if value <= 0:
-            raise self.error(segment, f"{name} is {value:g}; it must be positive")
+        if value < LEAST:
+            raise self.error(segment, f"{name} is {value:g}; it must be at least {LEAST:g}")
         return value
 
     def number(self, section: Element, name: str, default: float | None = None) -> float:

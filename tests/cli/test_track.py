@@ -220,3 +220,15 @@ def test_a_run_takes_a_track_of_the_library_by_its_name_and_at_any_scale(folder,
     config = compose("track=file", f"track.name_or_path={path}", "track.scale=2", "track.start_at=[0,0]")
     track = build_node("track", config["track"])
     assert track.length == pytest.approx(2 * Track.load("oval").length, rel=1e-3)
+
+
+def test_check_looks_at_all_circuits_of_a_file_or_at_the_one_that_is_named(folder, capsys):
+    line = {"type": "LineString", "coordinates": [[0, 0], [0.002, 0], [0.002, 0.002], [0, 0.002], [0, 0]]}
+    features = [{"type": "Feature", "properties": {"id": name}, "geometry": line} for name in ("one", "two")]
+    (folder / "rings.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert main(["track", "check", "rings.geojson", "--json"]) == 0
+    assert [each["name"] for each in json.loads(capsys.readouterr().out)] == ["rings.geojson/one", "rings.geojson/two"]
+    assert main(["track", "check", "rings.geojson", "--circuit", "two"]) == 0
+    assert "no widths, so 12 m unless track.width says otherwise" in capsys.readouterr().out
+    assert main(["track", "show", "rings.geojson"]) == 2
+    assert "it has 2 circuits, one, two; name one as track.circuit" in capsys.readouterr().err
