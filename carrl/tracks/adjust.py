@@ -15,6 +15,7 @@ from shapely import LinearRing, distance, points
 from torch import Tensor
 
 from carrl.errors import TrackError, shown
+from carrl.tracks.bridges import cut_folds
 from carrl.tracks.centreline import (
     MAX_COORDINATE,
     MIN_POINTS,
@@ -26,7 +27,6 @@ from carrl.tracks.centreline import (
     turns,
     without_repeats,
 )
-from carrl.tracks.crossings import cut_folds
 from carrl.tracks.rings import arc_lengths, cast, resampled, signed_area
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree, Voronoi
 from shapely import Polygon
 
 from carrl.tracks.centreline import normals
-from carrl.tracks.drawing import smooth_curve
+from carrl.tracks.drawing_file import smooth_curve
 from carrl.tracks.rings import CorridorError, arc_lengths, cast, point_at, resampled, signed_area, trace
 
 MOST_POINTS = 40_000
