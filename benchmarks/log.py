@@ -18,14 +18,14 @@ from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.algorithms.common.network import make_q_network
 from carrl.algorithms.dqn.dqn import dqn_columns
-from carrl.data.episodes import EpisodeTracker
+from carrl.data.source import EpisodeTracker
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.rollout import rule_policy
 from carrl.log import load
 from carrl.log.messages import Episode
 from carrl.log.writer import LogWriter
-from carrl.task.start import Start
-from carrl.train.provenance import log_schema
+from carrl.task.episode import Start
+from carrl.train.callbacks import log_schema
 
 SCHEMA = log_schema(TrackEnv(), dqn_columns(("forward", "left", "right")))
 HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")
@@ -74,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
         print(table(SHARE_HEADER, share_rows()))
         return 0
     tell(f"driving {arguments.transitions:,} transitions")
-    transitions, episodes = drive(int(arguments.transitions))
+    transitions, episodes = rollout_laps(int(arguments.transitions))
     with tempfile.TemporaryDirectory() as folder:
         rows, same = measure(Path(folder), transitions, episodes)
     print(table(HEADER, [_row(row) for row in rows]))
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     return int(not same)
 
 
-def drive(count: int) -> tuple[TensorDict, list[Episode]]:
+def rollout_laps(count: int) -> tuple[TensorDict, list[Episode]]:
     """So many transitions of cars that the rule drives, with the values of an untrained network, and their episodes."""
     env = TrackEnv("paper", num_envs=CARS, seed=0, start=Start(anywhere=True))
     generator = torch.Generator().manual_seed(0)

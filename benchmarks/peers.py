@@ -34,7 +34,7 @@ def train_sb3_one_car(frames: int, seed: int) -> Measurement:
 
 def train_sb3_many_cars(frames: int, seed: int) -> Measurement:
     """Stable-Baselines3 on all cars in one batched environment."""
-    from carrl.env.sb3_vec_env import TrackVecEnv
+    from carrl.sb3 import TrackVecEnv
 
     return _train_sb3(TrackVecEnv("paper", CARS, seed=seed), frames, seed)
 

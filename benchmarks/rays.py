@@ -11,10 +11,10 @@ from benchmarks import figures
 from benchmarks.child import CIRCUITS
 from benchmarks.options import Parser, positive, tell
 from carrl.errors import CarrlError
+from carrl.sim.collision_geometry import TrackLayout
 from carrl.sim.geometry import ray_distances
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.terrain import Plot
 from carrl.sim.vehicle import Vehicle
 from carrl.tracks.track import Track, builtin_names
 
@@ -32,7 +32,7 @@ class Comparison:
 
     Attributes:
         track: its name.
-        walls: of all its levels.
+        walls: of all its decks.
         memory: that its walls, gates and grid take, bytes.
         rays: how many were compared.
         off: how many of them differ by more than `TOLERANCE`.
@@ -80,34 +80,34 @@ def compare(track: Track, rays: int, max_range: float) -> Comparison:
     """Casts rays from random places on a track, and compares them with brute force.
 
     Args:
-        track: each of its levels gets its share of the cars.
+        track: each of its decks gets its share of the cars.
         rays: at least so many.
         max_range: of the rays, m.
     """
     sensor = Sensor(max_range=max_range)
     simulator = Simulator(track, Vehicle(), sensor)
-    plot = Plot.of_track(track, max(max_range, 1.5))
+    plot = TrackLayout.of_track(track, max(max_range, 1.5))
     cars, generator = -(-rays // sensor.rays), torch.Generator().manual_seed(0)
     state = CarState.at(_poses(track, cars, generator))
-    gates = [(plot.level_of_gate == level).nonzero()[0, 0] for level in range(len(plot.visible))]
+    gates = [(plot.deck_of_gate == deck).nonzero()[0, 0] for deck in range(len(plot.visible))]
     state = replace(state, next_gate=torch.stack(gates)[torch.arange(cars) % len(gates)])
     ranges, off, largest = simulator.sense(state), 0, 0.0
     tell(f"{track.name}: {ranges.numel():,} rays among {len(track.walls):,} walls")
-    for level, visible in enumerate(plot.visible):
-        own, walls = (torch.arange(cars) % len(gates) == level).nonzero()[:, 0], track.walls[visible]
+    for deck, visible in enumerate(plot.visible):
+        own, walls = (torch.arange(cars) % len(gates) == deck).nonzero()[:, 0], track.walls[visible]
         for some in own.split(max(1, _WORK // (sensor.rays * len(walls)))):
             pose = state.pose[some]
             truth = ray_distances(pose[:, :2], pose[:, 2:].double() + sensor.angles.double(), walls, max_range)
             difference = (ranges[some] - truth).abs()
             off += int((difference > TOLERANCE).sum())
             largest = max(largest, difference.max().item())
-    return Comparison(track.name, len(track.walls), simulator.terrain.bytes, ranges.numel(), off, largest)
+    return Comparison(track.name, len(track.walls), simulator.geometry.bytes, ranges.numel(), off, largest)
 
 
 def _poses(track: Track, count: int, generator: torch.Generator) -> torch.Tensor:
     """Poses [count, 3] across the whole width of the road, and a few anywhere on the map."""
     stations = torch.rand(count, generator=generator, dtype=torch.float64) * track.length
-    pose, (right, left) = track.pose_at(stations), track.room_at(stations).flip(1).T
+    pose, (right, left) = track.pose_at(stations), track.clearance_at(stations).flip(1).T
     sideways = -right + (left + right) * torch.rand(count, generator=generator, dtype=torch.float64)
     heading = pose[:, 2].double()
     pose[:, :2] += (sideways * torch.stack([-heading.sin(), heading.cos()])).T

@@ -23,7 +23,7 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import steer3
-from carrl.task.start import Start
+from carrl.task.episode import Start
 from carrl.tracks.track import Track
 
 GYM_ID = "carrl/Track-v0"

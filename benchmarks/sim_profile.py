@@ -5,10 +5,13 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path, PurePath
+from typing import Any
 
 from benchmarks.child import run_child
-from benchmarks.profiling import Profile
 from benchmarks.sim_cells import Course, child_arguments
+
+Profile = Mapping[tuple[str, int, str], tuple[int, int, float, float, Mapping[tuple[str, int, str], Any]]]
+"""What `pstats.Stats.stats` holds: calls, own and cumulative seconds, and the same for each caller."""
 
 HEADER = ("TrackEnv: own time of", "share")
 LEAST_SHARE = 0.01

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from carrl.sim.sensor import Sensor
     from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
     from carrl.task.action import ContinuousActions, DiscreteActions
+    from carrl.task.episode import Start
     from carrl.task.observation import Observation, rays_and_last_action
     from carrl.task.reward import Reward, paper_reward
-    from carrl.task.start import Start
     from carrl.tracks.track import Track
     from carrl.train.run import Run
 
@@ -64,7 +64,7 @@ _HOMES = {
     "Reward": "carrl.task.reward",
     "Run": "carrl.train.run",
     "Sensor": "carrl.sim.sensor",
-    "Start": "carrl.task.start",
+    "Start": "carrl.task.episode",
     "Track": "carrl.tracks.track",
     "TrackEnv": "carrl.env.track_env",
     "Vehicle": "carrl.sim.vehicle",

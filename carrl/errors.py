@@ -1,6 +1,5 @@
 """Errors that a user can cause and mend; the command line prints their message alone and exits with 2."""
 
-import difflib
 import reprlib
 from collections.abc import Iterable
 
@@ -46,5 +45,12 @@ def shown(value: object) -> str:
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
     """The rest of a sentence that names the nearest of the names; nothing if none is near."""
+    import difflib  # here, since few runs need it and every one would wait for it
+
     close = difflib.get_close_matches(name, list(names), n=1, cutoff=CLOSE)
     return f"; did you mean {close[0]}?" if close else ""
+
+
+def printable(text: str) -> str:
+    """The text with every character that could steer a terminal, or hide in it, written as Python would escape it."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)

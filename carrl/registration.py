@@ -35,7 +35,7 @@ def _register_environments() -> None:
 def _register_dataset() -> None:
     from torchrl.data.datasets.utils import register_dataset
 
-    register_dataset("carrl", "carrl.data.dataset:CarRLExperienceReplay", replace=True)
+    register_dataset("carrl", "carrl.data.logs:CarRLExperienceReplay", replace=True)
 
 
 def _register_after(module: str, register: Callable[[], None]) -> None:

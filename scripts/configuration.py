@@ -1,15 +1,24 @@
-"""Writes docs/configuration.md, every key of every YAML file in conf/: python scripts/configuration.py."""
+"""Writes docs/configuration.md, from conf/ and the docstrings of what it builds: python scripts/configuration.py."""
 
+import inspect
+import pkgutil
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+import yaml
+
+from carrl.config import TARGETS
+from carrl.train.composition import PLAIN_KEYS
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"
 PAGE = ROOT / "docs" / "configuration.md"
 HEADER = """# Configuration
 
-Written by `python scripts/configuration.py` from the files in `conf/`; a test compares the two, so change those.
+Written by `python scripts/configuration.py` from the files in `conf/` and from the docstrings of what they build; a test
+compares them, so change those.
 
 `carrl train GROUP=OPTION` picks an option of a group, `carrl train GROUP.KEY=VALUE` changes a value of the option that is
 picked, and `-m` with commas between options or values sweeps over them. An experiment is a set of such choices, and what is
@@ -27,6 +36,9 @@ The reward and the observation are sums and rows of terms, each with keys of its
 `reward.gate.weight=20`, `reward.proximity=null`, `observation=rays_and_last_action`. `carrl.task.reward` and
 `carrl.task.observation` have the terms, `carrl.task.action` what a car can choose among.
 
+A `_target_` that you type, or that stands in your own files, may be any class or function that can be imported;
+[examples/own_parts](../examples/own_parts) has a vehicle, an observation, a reward, a network, a loss and a track format.
+
 What each part of learning does to the first lap stands in [results.md](results.md#parts).
 
 ## What does not go together
@@ -41,76 +53,120 @@ What each part of learning does to the first lap stands in [results.md](results.
 Everything else goes together, several agents (`trainer.seeds`) and `resume=RUN` included. `network=noisy` explores by itself,
 so that `exploration=constant exploration.epsilon=0` is its usual companion, but it need not be.
 """  # noqa: E501 (a table's row is one line)
-KEY = re.compile(r"(?P<indent> *)(?P<key>[\w/.]+):(?: +(?P<value>[^#]*?))?(?: +# (?P<comment>.*))?")
+OPTIMIZER = {
+    "lr": "learning rate (Table I)",
+    "fused": "one kernel for all parameters; the same numbers, less overhead",
+}
+"""Of torch's Adam, whose docstring is not ours."""
 
 
 def page() -> str:
     """The whole page."""
-    groups = sorted(path for path in CONF.iterdir() if path.is_dir())
-    order = [line.split()[1].rstrip(":") for line in _lines(CONF / "train.yaml") if line.startswith("  - ")]
-    groups.sort(key=lambda group: order.index(group.name) if group.name in order else len(order))
-    defaults = dict(re.findall(r"^  - (\w+): (\w+)$", (CONF / "train.yaml").read_text(), flags=re.MULTILINE))
-    parts = [HEADER, "## Top level\n", *_table(CONF / "train.yaml")]
-    for group in groups:
-        parts.append(f"\n## {group.name}\n")
-        for path in sorted(group.glob("*.yaml"), key=lambda path: (path.stem != defaults.get(group.name), path.stem)):
-            parts += _option(path, is_default=path.stem == defaults.get(group.name))
+    train = yaml.safe_load((CONF / "train.yaml").read_text())
+    chosen = {
+        group: option for each in train.pop("defaults") if isinstance(each, dict) for group, option in each.items()
+    }
+    train.pop("hydra")
+    plain = {key: value for key, value in train.items() if key in PLAIN_KEYS}
+    parts = [HEADER, "## Top level\n", *_table(_row(key, value, PLAIN_KEYS[key]) for key, value in plain.items())]
+    parts += ["## Settings of parts without a choice\n"]
+    for name, node in train.items():
+        if name not in plain:
+            parts += [f"### `{name}`\n", *_node(name, node, TARGETS[name][0])]
+    for group in (group for group in chosen if (CONF / group).is_dir()):
+        parts.append(f"## {group}\n")
+        paths = sorted((CONF / group).glob("*.yaml"), key=lambda path: (path.stem != chosen[group], path.stem))
+        for path in paths:
+            parts += _option(path, is_default=path.stem == chosen[group])
     return "\n".join(parts).rstrip() + "\n"
 
 
 def _option(path: Path, is_default: bool) -> Iterator[str]:
     """One option of a group: what it is, what it is made of, its keys."""
-    lines = _lines(path)
-    yield f"### `{path.parent.name}={path.stem}`{', the default' if is_default else ''}\n"
-    about = " ".join(line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @package"))
+    group, text = path.parent.name, path.read_text()
+    yield f"### `{group}={path.stem}`{', the default' if is_default else ''}\n"
+    about = " ".join(line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line)
     if about:
         yield f"{about.rstrip('.')}.\n"
-    base = [line.split()[1] for line in lines if re.fullmatch(r"  - (?!_self_)\w+", line)]
-    terms = [f"- `{name}`, built by `{target}`{comment}" for name, target, comment in _terms(path)]
+    content: dict[str, Any] = yaml.safe_load(text) or {}
+    defaults = [each for each in content.pop("defaults", ()) if each != "_self_"]
+    picked = [
+        f"`{key.split('@')[0].removeprefix('override /')}={each[key]}`"
+        for each in defaults
+        if isinstance(each, dict)
+        for key in each
+    ]
+    base = [each for each in defaults if isinstance(each, str)]
     if base:
-        yield f"As `{path.parent.name}={base[0]}`, {'with' if terms else 'but for'}:\n"
-    chosen = re.findall(r"^  - override /(\w+)(?:@\S+)?: (\w+)", path.read_text(), flags=re.MULTILINE)
-    if chosen:
-        yield f"Picks {', '.join(f'`{group}={option}`' for group, option in chosen)}.\n"
-    target = re.search(r"^ *_target_: (\S+)", path.read_text(), flags=re.MULTILINE)
-    if target and not terms:
-        yield f"Built by `{target[1]}`.\n"
-    if terms:
-        yield "\n".join(terms) + "\n"
-    yield from _table(path)
+        yield f"As `{group}={base[0]}`, but for:\n"
+    if picked:
+        yield f"Picks {', '.join(picked)}.\n"
+    if "@package _global_" in text:
+        yield from _table(_row(key, value, "") for key, value in _leaves(content))
+        own = content.get(group)
+        if isinstance(own, dict) and "_target_" in own:
+            yield from _node(group, own, own["_target_"])
+    elif content and all(isinstance(value, dict) and "_target_" in value for value in content.values()):
+        for name, node in content.items():
+            yield from _node(name, node, node["_target_"], of_term=True)
+    elif content:
+        yield from _node(group, content, content.get("_target_") or _target_of(path.parent, base))
 
 
-def _terms(path: Path) -> Iterator[tuple[str, str, str]]:
-    """What the terms of an observation or a reward are called and built by, and what is said of each."""
-    found = re.findall(r"^(\w+):(?: +# (.*))?\n  _target_: (\S+)$", path.read_text(), flags=re.MULTILINE)
-    for name, comment, target in found if "@package" not in path.read_text() else ():
-        yield name, target, f": {comment}" if comment else ""
+def _target_of(group: Path, base: list[str]) -> str:
+    """What the option builds on which another is based."""
+    content = yaml.safe_load((group / f"{base[0]}.yaml").read_text())
+    further = [each for each in content.get("defaults", ()) if each != "_self_" and isinstance(each, str)]
+    return str(content.get("_target_") or _target_of(group, further))
 
 
-def _table(path: Path) -> list[str]:
-    """The keys of a file as a table; none if there are none."""
-    rows = [f"| `{key}` | `{value}` | {comment} |" for key, value, comment in _keys(path)]
-    return ["| key | default | what it is |\n|---|---|---|", *rows, ""] if rows else []
+def _node(name: str, node: Mapping[str, Any], target: str, of_term: bool = False) -> Iterator[str]:
+    """What a node of the configuration builds, and its keys."""
+    part = pkgutil.resolve_name(target)
+    first = (inspect.getdoc(part) or "").split("\n\n")[0].replace("\n", " ")
+    built = f"`{name}`, built by `{target}`" if of_term else f"Built by `{target}`"
+    yield (
+        f"{built}: {first[:1].lower() if of_term else first[:1]}{first[1:]}\n"
+        if target.startswith("carrl.")
+        else f"{built}.\n"
+    )
+    described = described_parameters(part) if target.startswith("carrl.") else OPTIMIZER
+    values = {key: value for key, value in node.items() if key != "_target_"}
+    yield from _table(_row(key, value, described[key]) for key, value in values.items())
 
 
-def _keys(path: Path) -> Iterator[tuple[str, str, str]]:
-    """Names, default values and comments of a file's keys; those of groups within a file by their full names."""
-    above: list[str] = []
-    for line in _lines(path):
-        found = KEY.fullmatch(line)
-        if found is None:
-            continue
-        above[len(found["indent"]) // 2 :] = [found["key"]]
-        if found["value"] and above[0] not in ("defaults", "hydra") and not found["key"].startswith("_"):
-            yield (
-                ".".join(above),
-                found["value"].strip().replace("|", "\\|"),
-                (found["comment"] or "").replace("|", "\\|"),
-            )
+def described_parameters(part: Any) -> dict[str, str]:
+    """What the docstring of a class or function says of each parameter."""
+    found: dict[str, str] = {}
+    section = re.search(
+        r"^(?:Args|Attributes):\n(.*?)(?=^\S|\Z)", inspect.getdoc(part) or "", flags=re.DOTALL | re.MULTILINE
+    )
+    for entry in re.finditer(
+        r"^    (\w+): (.*?)(?=^    \S|\Z)", section[1] if section else "", flags=re.DOTALL | re.MULTILINE
+    ):
+        found[entry[1]] = " ".join(entry[2].split()).rstrip(".")
+    return found
 
 
-def _lines(path: Path) -> list[str]:
-    return path.read_text().splitlines()
+def _leaves(content: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of an experiment by their full keys."""
+    for key, value in content.items():
+        if isinstance(value, dict) and value:
+            if "_target_" not in value:
+                yield from _leaves(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def _row(key: str, value: Any, about: str) -> str:
+    shown = yaml.safe_dump(value, default_flow_style=True, width=1000).strip().removesuffix("...").strip()
+    return f"| `{key}` | `{shown}` | {about} |".replace("|TD error|", "\\|TD error\\|")
+
+
+def _table(rows: Iterator[str]) -> list[str]:
+    """Keys as a table; nothing if there are none."""
+    found = list(rows)
+    return ["| key | default | what it is |\n|---|---|---|", *found, ""] if found else []
 
 
 if __name__ == "__main__":

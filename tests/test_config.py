@@ -1,7 +1,6 @@
 """Every YAML file is a working choice, explained key by key."""
 
 import pytest
-import yaml
 
 from carrl.config import build_node, config_dir
 from carrl.errors import ConfigError
@@ -15,6 +14,7 @@ LEAVES = sorted(
 )
 
 BESIDE = {
+    "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/generalist": ["track.count=4", "track.validation=2"],  # of hundreds, which take seconds to draw
 }
@@ -26,8 +26,8 @@ def test_every_option_of_every_group_builds(leaf):
     if option == "ray":
         pytest.importorskip("ray", reason="clusters need it; pip install 'carrl[ray]'")
     pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
-    assert pipeline.source.env.batch_size[0] >= 1
-    pipeline.source.collector.shutdown()
+    assert len(pipeline.algorithm.seeds) == 1
+    pipeline.source.close()
 
 
 def test_a_track_file_is_an_option_of_the_track_group(real_circuits):
@@ -65,17 +65,6 @@ def test_double_dqn_differs_from_dqn_by_the_loss_alone():
     assert double.pop("loss") == dqn.pop("loss") | {"double_dqn": True}
     assert dqn == double
     assert build_pipeline(compose("loss=double_dqn")).algorithm.replicates[0].loss.double_dqn
-
-
-@pytest.mark.parametrize("leaf", LEAVES)
-def test_every_key_has_a_comment_with_its_unit_or_effect(leaf):
-    text = (config_dir() / leaf).with_suffix(".yaml").read_text()
-    if "@package _global_" in text or "defaults:" in text:
-        assert "#" in text or yaml.safe_load(text)
-        return
-    for line in text.splitlines():
-        if line and line.strip()[0] not in "#_" and not line.startswith("name_or_path"):
-            assert "  # " in line, f"{leaf}: {line}"
 
 
 @pytest.mark.parametrize(

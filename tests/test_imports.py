@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ORDER = [
-    *("errors", "printable", "generators", "rows", "files", "plain_yaml", "config"),
+    *("errors", "rows", "files", "plain_yaml", "config"),
     *("tracks", "sim", "task", "log", "render", "env", "algorithms", "data"),
     *("evaluation", "train", "report", "export", "cli"),
     *("registration", "sb3"),

@@ -15,8 +15,7 @@ import torch
 
 from carrl.cli.main import main
 from carrl.log.writer import LogWriter
-from carrl.report.groups import HYDRA, OVERRIDES
-from carrl.report.problems import SWEEP
+from carrl.report.groups import HYDRA, OVERRIDES, SWEEP
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path
 from tests.logs import make_schema
 from tests.operations import count_calls

@@ -5,6 +5,7 @@ import json
 import pytest
 import yaml
 
+from carrl.cli.main import main
 from carrl.config import TARGETS, config_dir
 from carrl.train.files import CONFIG
 from tests.strangers import make_run, refused
@@ -99,6 +100,8 @@ def test_a_small_config_that_stands_for_a_huge_one_is_refused_at_once(tmp_path, 
     text = yaml.safe_dump(config).replace("BOMB", value)
     (run / CONFIG).write_text(f"{before}\n{text}")
     refused(capsys, "evaluate", run, "--policy", "random")
+    assert main(["report", str(run)]) == 0  # which names the run as damaged, or shows its values cut
+    assert len(capsys.readouterr().out) < 20_000
 
 
 @pytest.mark.parametrize(

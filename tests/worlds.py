@@ -7,7 +7,7 @@ from carrl.sim.vehicle import Vehicle
 from carrl.task.action import steer3
 from carrl.task.observation import rays_only
 from carrl.task.reward import paper_reward
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 

@@ -19,7 +19,7 @@ from carrl.log.codec import Batch, Columns, encode_small
 from carrl.log.log_file import begin_log, chunk_beginning, describe, with_checksum
 from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS, Schema
-from carrl.train.provenance import describe_run, log_schema
+from carrl.train.callbacks import describe_run, log_schema
 
 _STEPS, _RUN = 6, 0x1234567890ABCDEF
 _TIMES = (0, 1, 10**8, 10**9, 2**40, 2**63 - 1)

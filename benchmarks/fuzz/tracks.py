@@ -16,7 +16,7 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle
 from carrl.tracks.csv_file import COLUMNS
-from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 

@@ -181,7 +181,7 @@ class _Watch:
 
     def patches(self) -> Iterator[Any]:
         """What to put in the place of CarRL's functions: notes, then the functions themselves."""
-        from carrl.data.episodes import EpisodeTracker
+        from carrl.data.source import EpisodeTracker
         from carrl.log import mcap_write
         from carrl.log.writer import LogWriter
 

@@ -15,7 +15,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from carrl.log.schema import Column
-from carrl.task.world import World
+from carrl.task.task import World
 
 Tree = Mapping[Any, Any]
 """Tensors by name, in groups that may have groups in them."""

@@ -11,8 +11,7 @@ import torch
 from carrl.cli.parser import Parser, add_trust
 from carrl.cli.text.console import warn
 from carrl.cli.text.many_runs import print_table
-from carrl.errors import ConfigError
-from carrl.printable import printable
+from carrl.errors import ConfigError, printable
 from carrl.train.experiment import road_warning
 from carrl.train.run import Run, load_tracks
 

@@ -6,8 +6,7 @@ from contextlib import suppress
 
 import carrl
 from carrl.cli.process import OutputClosedError, guarded_output
-from carrl.errors import CarrlError
-from carrl.printable import printable
+from carrl.errors import CarrlError, printable
 
 VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
@@ -20,12 +20,14 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
-from carrl.cli.text.many_runs import SweepConsole
 from carrl.errors import CarrlError
 from carrl.train.composition import composed, plain
 from carrl.train.new_folder import check_is_in_no_run, locked, make_new
 from carrl.train.overrides import check_is_read
 from carrl.train.sweep import JobNote, JobState, SweepFolder, job_name, read_summaries
+
+if TYPE_CHECKING:
+    from carrl.cli.text.many_runs import SweepConsole
 
 FLAGS = ("--multirun", "hydra.mode=MULTIRUN")
 _LOOKS_EVERY_S = 1.0
@@ -94,6 +96,8 @@ def sweep(overrides: Sequence[str], run_hydra: Callable[[Sequence[str], Callable
         CarrlError: a job failed, or the overrides are wrong.
         KeyboardInterrupt: a signal ended the sweep, with everything saved.
     """
+    from carrl.cli.text.many_runs import SweepConsole  # brings rich, which a single run needs only once it trains
+
     SweepStartCallback.folder, SweepStartCallback.lock = None, ExitStack()
     for name in _THREADS:  # of the processes that run jobs, one core for each
         os.environ.setdefault(name, "1")
@@ -112,7 +116,7 @@ def sweep(overrides: Sequence[str], run_hydra: Callable[[Sequence[str], Callable
         return _show_end(console)
 
 
-def _show_end(console: SweepConsole) -> int:
+def _show_end(console: "SweepConsole") -> int:
     """Tells how the sweep ended, and returns its exit code."""
     folder = SweepStartCallback.folder
     if folder is None:  # Hydra only showed help or a configuration
@@ -198,7 +202,7 @@ def _stopping_on_signals() -> Iterator[None]:
 
 
 @contextmanager
-def _watching(console: SweepConsole) -> Iterator[None]:
+def _watching(console: "SweepConsole") -> Iterator[None]:
     """Shows how the jobs stand while they run, in whatever processes."""
     is_over = threading.Event()
 
@@ -254,11 +258,12 @@ def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> 
     # here, so that a process that only hands out jobs does not wait for what trains
     from carrl.cli.text.console import RoadWarning, StopOnSignals
     from carrl.train.build import build_world, logs_of
-    from carrl.train.experiment import Experiment, Observer
-    from carrl.train.inputs import check_inputs, checksums
+    from carrl.train.callbacks import Callback as TrainingCallback
+    from carrl.train.experiment import Experiment
+    from carrl.train.files import check_inputs, checksums
     from carrl.train.resumption import resumed_state
 
-    class StopFileWatcher(Observer):
+    class StopFileWatcher(TrainingCallback):
         """Ends the training once the sweep is to end."""
 
         looked_at = time.monotonic()

@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carrl.errors import TrackError
-from carrl.printable import printable
+from carrl.errors import TrackError, printable
 
 if TYPE_CHECKING:
     from carrl.tracks.track import Track

@@ -18,8 +18,7 @@ from yaml import YAMLError
 
 from carrl.cli.sweep import FLAGS, Refusal, config_folders, hydra_records, sweep
 from carrl.config import config_dir
-from carrl.errors import CarrlError, ConfigError
-from carrl.printable import printable
+from carrl.errors import CarrlError, ConfigError, printable
 from carrl.train.composition import explain, plain
 from carrl.train.files import load_config
 from carrl.train.new_folder import locked

@@ -1,6 +1,10 @@
-"""`carrl tune`: searches for the settings that do best, and gives up hopeless trials early."""
+"""`carrl tune`: searches for the settings that do best, and gives up hopeless trials early.
+
+What it searches is the configuration's `search`; a trial draws overrides from it.
+"""
 
 import argparse
+import json
 import math
 import os
 import re
@@ -14,20 +18,88 @@ from pathlib import Path
 from typing import Any
 
 from carrl.cli.parser import Parser, named_folder
-from carrl.cli.search_space import SEARCH, SearchSpace, parse_search_space
 from carrl.cli.text.console import RoadWarning, StopOnSignals
 from carrl.cli.text.many_runs import TrialRow, TuningConsole
-from carrl.errors import CarrlError, ConfigError
+from carrl.errors import CarrlError, ConfigError, shown
+from carrl.train.callbacks import Callback
 from carrl.train.composition import composed
-from carrl.train.experiment import Experiment, Observer
+from carrl.train.experiment import Experiment
 from carrl.train.new_folder import check_holds_no_run, locked, make_new
 from carrl.train.overrides import is_search, readable_overrides
 from carrl.train.replicate_run import OBJECTIVES, Objective
 
+SEARCH = "search"
+"""The key of the configuration; training does not read it."""
 STUDY = "study.db"
 WARM_UP_TRIALS, WARM_UP_EVALUATIONS = 4, 2
 """Before these no trial is given up: by then the median means something."""
 _ASKED, _ERROR = "asked", "error"
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from `low` to `high`, both included.
+
+    Attributes:
+        log: draw their logarithms evenly, for what matters by factors.
+    """
+
+    low: int | float
+    high: int | float
+    log: bool = False
+
+    def suggest(self, trial: Any, key: str) -> str:
+        """The trial's value, as typed; a whole number where both ends are."""
+        suggest = trial.suggest_int if isinstance(self.low, int) and isinstance(self.high, int) else trial.suggest_float
+        return str(suggest(key, self.low, self.high, log=self.log))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of these values, as typed: options of a group, numbers, or lists such as [64,32]."""
+
+    values: tuple[str, ...]
+
+    def suggest(self, trial: Any, key: str) -> str:
+        """The trial's value."""
+        value: str = trial.suggest_categorical(key, self.values)
+        return value
+
+
+SearchSpace = Mapping[str, Range | Choice]
+
+
+def parse_search_space(node: Any) -> SearchSpace:
+    """The search space of a configuration's `search`.
+
+    Raises:
+        ConfigError: it is empty, or an entry is neither a range nor a choice.
+    """
+    if not isinstance(node, Mapping) or not node:
+        raise ConfigError(
+            f"the configuration has no {SEARCH}; choose one that has, as in carrl tune experiment=tune, "
+            f"or write one, as conf/experiment/tune.yaml does"
+        )
+    return {str(key): _parse(f"{SEARCH}.{key}", entry) for key, entry in node.items()}
+
+
+def _parse(name: str, entry: Any) -> Range | Choice:
+    keys = set(entry) if isinstance(entry, Mapping) else set()
+    if keys == {"choices"} and isinstance(entry["choices"], list) and entry["choices"]:
+        return Choice(tuple(_typed(value) for value in entry["choices"]))
+    if {"low", "high"} <= keys <= {"low", "high", "log"}:
+        low, high, log = entry["low"], entry["high"], entry.get("log", False)
+        numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in (low, high))
+        if numbers and isinstance(log, bool) and low < high and not (log and low <= 0):
+            return Range(low, high, log)
+    raise ConfigError(
+        f"{name} is {shown(entry)}; it must be choices: [...] or low: and high:, numbers with low < high, "
+        "and, if you like, log: true, for which low must be positive"
+    )
+
+
+def _typed(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def main(argv: list[str]) -> int:
@@ -104,7 +176,7 @@ class Tuning:
         try:
             config = composed([*self.overrides, *drawn])
             config.pop(SEARCH)
-            pruning = PruningObserver(trial, self.objective, config)
+            pruning = PruningCallback(trial, self.objective, config)
             summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
                 [RoadWarning(), StopOnSignals(), pruning]
             )
@@ -125,7 +197,7 @@ class Tuning:
             study.tell(trial, pruning.value)
 
 
-class PruningObserver(Observer):
+class PruningCallback(Callback):
     """Follows a trial's greedy drives, and ends it as soon as its value is final, or the study's pruner gives it up."""
 
     def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:

@@ -97,6 +97,13 @@ def make_collector(
 
     It has no use for `seeds` and `parts`, which are those of `ClusterCollector`.
 
+    Args:
+        steps_per_batch: steps of each car between two rounds of updates.
+        env: whose cars drive.
+        policy: that drives them.
+        seeds: of the replicates.
+        parts: what another process would make.
+
     Raises:
         ConfigError: `steps_per_batch` is less than 1 or too large.
     """

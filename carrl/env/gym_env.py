@@ -11,17 +11,91 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.error import InvalidAction
+from torch import Tensor
 
-from carrl.env.gym_actions import action_space, one_action
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.sim.vehicle import Vehicle
+from carrl.task.action import ActionMap, in_words
 from carrl.task.checks import seed_number
-from carrl.task.task import UNLIMITED, Begun, Task, Tracks, make_task
+from carrl.task.task import UNLIMITED, EpisodeStart, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.live import CarLook, CarSnapshot, FollowPicture
-    from carrl.render.window import Window
+    from carrl.render.live import CarLook, CarSnapshot, FollowPicture, Window
+
+
+class ActionError(ConfigError, InvalidAction):
+    """Actions that there are none of: CarRL's error and Gymnasium's in one."""
+
+
+def action_space(actions: ActionMap) -> gymnasium.Space[Any]:
+    """Of one car: discrete, or a number for each control."""
+    if actions.names:
+        return gymnasium.spaces.Discrete(len(actions.names))
+    return gymnasium.spaces.Box(-1.0, 1.0, (len(actions.control_names),), np.float32)
+
+
+def one_action(action: Any, actions: ActionMap) -> Tensor:
+    """The action of one car, [1] or [1, C]: of Python, NumPy or torch, but no bool.
+
+    Raises:
+        ActionError: there is no such action.
+    """
+    if type(action) in (int, np.int64):  # the usual case, quickly
+        given = np.array([action])
+    else:
+        try:
+            given = np.asarray(action)[None]
+        except (TypeError, ValueError):
+            given = np.array(None)
+    if not _is_action(given, (1,), actions).all():
+        raise ActionError(f"action is {shown(action)}; it must be {_wanted(actions)}")
+    return _as_tensor(given, actions)
+
+
+def many_actions(given: Any, cars: int, actions: ActionMap) -> Tensor:
+    """A copy of the actions of N cars, [N] or [N, C].
+
+    Raises:
+        ActionError: they are of another shape or type, or there is no such action.
+    """
+    try:
+        array = np.asarray(given)
+    except (TypeError, ValueError) as error:  # such as a tensor on another device, or rows of several lengths
+        raise ActionError(f"actions is {shown(given)}, no array; it must be {_all_wanted(cars, actions)}") from error
+    are_actions = _is_action(array, (cars,), actions)
+    if not are_actions.shape:
+        raise ActionError(
+            f"actions is an array {list(array.shape)} of {array.dtype}; it must be {_all_wanted(cars, actions)}"
+        )
+    if not are_actions.all():
+        car = are_actions.argmin()
+        raise ActionError(f"actions[{car}] is {array[car]}; actions must be {_all_wanted(cars, actions)}")
+    return _as_tensor(array, actions)
+
+
+def _is_action(given: np.ndarray, cars: tuple[int], actions: ActionMap) -> np.ndarray:
+    """Which of the cars have an action, [N]; a single False where they are of another shape or type."""
+    if actions.names:
+        fits = given.dtype.kind in "iu" and given.shape == cars
+        return (given >= 0) & (given < len(actions.names)) if fits else np.array(False)
+    fits = given.dtype.kind in "iuf" and given.shape == (*cars, len(actions.control_names))
+    return (np.abs(given) <= 1).all(axis=-1) if fits else np.array(False)  # nan fails it, too
+
+
+def _as_tensor(given: np.ndarray, actions: ActionMap) -> Tensor:
+    return torch.from_numpy(given.astype(np.int64 if actions.names else np.float32))
+
+
+def _wanted(actions: ActionMap) -> str:
+    return f"the whole number {in_words(actions)}" if actions.names else in_words(actions)
+
+
+def _all_wanted(cars: int, actions: ActionMap) -> str:
+    shape = [cars] if actions.names else [cars, len(actions.control_names)]
+    return f"{cars} numbers in an array {shape}, each {_wanted(actions)}"
+
 
 OPTIONS = tuple(
     name
@@ -78,7 +152,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task.action)
         self._start = self.task.start() if self.task.starts_alike else None
-        self._now: Begun | None = None
+        self._now: EpisodeStart | None = None
         self._return, self._collided = 0.0, False
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_STEPS)
         self._picture: FollowPicture | None = None
@@ -121,7 +195,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         if self._collided:
             raise gymnasium.error.ResetNeeded("the car has hit a wall, which ended its episode; reset it")
         after = self.task.step(before.state, one_action(action, self.task.action))
-        self._now = now = Begun(after.state, after.observation)
+        self._now = now = EpisodeStart(after.state, after.observation)
         terms = after.reward_terms
         info = self._info(now, terms.tolist()[0])
         reward, collided = float(terms.sum().item()), bool(after.terminated.item())
@@ -165,7 +239,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         picture = self._picture.draw(self.snapshot())
         if self.render_mode == "rgb_array":
             return picture
-        from carrl.render.window import Window
+        from carrl.render.live import Window
 
         self._window = self._window or Window(self._picture.size, "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
@@ -177,7 +251,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             self._window.close()
         self._window = None
 
-    def _readings(self, now: Begun) -> np.ndarray:
+    def _readings(self, now: EpisodeStart) -> np.ndarray:
         """What the rays read, [R], in 0..1; the true distances where the driver is not told them."""
         begin = 0
         for part in self.task.observation_parts:
@@ -192,7 +266,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             return self.task.action.names[int(action)]
         return " ".join(f"{value:+.2f}" for value in action[0].tolist())
 
-    def _info(self, now: Begun, terms: list[float]) -> dict[str, Any]:
+    def _info(self, now: EpisodeStart, terms: list[float]) -> dict[str, Any]:
         cars = now.state.cars
         place = {
             "pose": cars.pose.numpy()[0].copy(),

@@ -14,18 +14,23 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from carrl.env.gym_actions import action_space, many_actions
-from carrl.env.gym_env import RENDER_MODES, check_options, check_render_mode, observation_space
+from carrl.env.gym_env import (
+    RENDER_MODES,
+    action_space,
+    check_options,
+    check_render_mode,
+    many_actions,
+    observation_space,
+)
 from carrl.errors import ConfigError
 from carrl.sim.vehicle import Vehicle
 from carrl.task.checks import seed_list, seed_number
 from carrl.task.random_streams import CarStreams
-from carrl.task.task import Begun, StepResult, Task, Tracks, make_task
+from carrl.task.task import EpisodeStart, StepResult, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.live import FleetPicture
-    from carrl.render.window import Window
+    from carrl.render.live import FleetPicture, Window
 
 Bools = NDArray[np.bool_]
 Step = tuple[np.ndarray, np.ndarray, Bools, Bools, dict[str, Any]]
@@ -85,7 +90,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._first_start = self.task.start() if self.task.starts_alike else None
-        self._now: Begun | None = None
+        self._now: EpisodeStart | None = None
         self._ended = np.zeros(num_envs, dtype=bool)
         self._picture: FleetPicture | None = None
         self._window: Window | None = None
@@ -162,7 +167,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
             return (picture,)
-        from carrl.render.window import Window
+        from carrl.render.live import Window
 
         self._window = self._window or Window((picture.shape[1], picture.shape[0]), "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
@@ -174,9 +179,9 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._window.close()
         self._window = None
 
-    def _end_in_next_step(self, before: Begun, after: StepResult, resetting: Bools) -> Step:
+    def _end_in_next_step(self, before: EpisodeStart, after: StepResult, resetting: Bools) -> Step:
         """What the step brought, but for the cars that it was to put back to the start, where they were before it."""
-        now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
+        now, terms, terminated = EpisodeStart(after.state, after.observation), after.reward_terms, after.terminated
         truncated = self._is_last_step(now)
         if resetting.any():
             keep, reset = torch.from_numpy(~resetting), torch.from_numpy(resetting)
@@ -189,7 +194,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _end_in_same_step(self, after: StepResult) -> Step:
         """What the step brought; cars whose episode ended are at the start again, their end is in the infos."""
-        now, terms, terminated = Begun(after.state, after.observation), after.reward_terms, after.terminated
+        now, terms, terminated = EpisodeStart(after.state, after.observation), after.reward_terms, after.terminated
         ends = terminated.numpy(), self._is_last_step(now).numpy()
         ended = ends[0] | ends[1]
         rewards, finals = _rewards(terms), {}
@@ -199,11 +204,11 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._now = now
         return now.observation.numpy().copy(), rewards, *ends, _infos(self.task, now, terms) | finals
 
-    def _is_last_step(self, now: Begun) -> Tensor:
+    def _is_last_step(self, now: EpisodeStart) -> Tensor:
         """Whether the time limit is reached, [N], bool."""
         return now.state.step >= self.task.max_steps
 
-    def _put(self, now: Begun | None, wanted: Bools) -> Begun:
+    def _put(self, now: EpisodeStart | None, wanted: Bools) -> EpisodeStart:
         """The wanted cars [N] at the start of new episodes."""
         cars, first = torch.from_numpy(wanted), self._first_start
         start = first[cars] if first else self.task.start(cars)
@@ -246,7 +251,7 @@ def _rewards(terms: Tensor) -> np.ndarray:
     return terms.sum(dim=-1).double().numpy()
 
 
-def _infos(task: Task, now: Begun, terms: Tensor, cars: Bools | None = None) -> dict[str, Any]:
+def _infos(task: Task, now: EpisodeStart, terms: Tensor, cars: Bools | None = None) -> dict[str, Any]:
     """Gymnasium's form of infos: beside each of the values [N, ...] which cars [N] have it, by default all.
 
     They are where the cars are, how far they came, and the reward's terms [N, K]; zero for the other cars.
@@ -262,7 +267,7 @@ def _infos(task: Task, now: Begun, terms: Tensor, cars: Bools | None = None) -> 
     return infos
 
 
-def _finals(task: Task, now: Begun, terms: Tensor, ended: Bools) -> dict[str, Any]:
+def _finals(task: Task, now: EpisodeStart, terms: Tensor, ended: Bools) -> dict[str, Any]:
     """The last views and infos of the cars whose episode ended, in Gymnasium's form."""
     views = np.full(len(ended), None, dtype=object)
     for car in ended.nonzero()[0]:

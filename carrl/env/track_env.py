@@ -17,11 +17,10 @@ from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.vehicle import POSE, VehicleModel
 from carrl.task.action import ActionMap, in_words
 from carrl.task.checks import seed_list, seed_number
-from carrl.task.episode import EpisodeState
+from carrl.task.episode import EpisodeState, Start
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
-from carrl.task.start import Start
-from carrl.task.task import Begun, StepResult, Tracks, make_task
+from carrl.task.task import EpisodeStart, StepResult, Tracks, make_task
 from carrl.tracks.track import Track
 
 
@@ -204,7 +203,7 @@ class TrackEnv(EnvBase):
             return ConfigError(f"action of car {car} is {int(action[car])}; it must be {in_words(self.task.action)}")
         return ConfigError(f"{error}; the state is none that this environment returned, so reset the cars")
 
-    def _begin(self, begun: Begun, wanted: Tensor | None = None) -> TensorDict:
+    def _begin(self, begun: EpisodeStart, wanted: Tensor | None = None) -> TensorDict:
         """All cars, or those `wanted`, [N] bool, at the start of an episode, not done; others at anyone's start."""
         values = self._as_dict(begun)
         if wanted is not None and len(begun.observation) < len(wanted):
@@ -215,7 +214,7 @@ class TrackEnv(EnvBase):
             values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _as_dict(self, now: Begun | StepResult) -> dict[str, Tensor]:
+    def _as_dict(self, now: EpisodeStart | StepResult) -> dict[str, Tensor]:
         """The state and the observation by the names of the keys."""
         state, cars = now.state, now.state.cars
         return {

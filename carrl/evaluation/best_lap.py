@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, TrackError
-from carrl.evaluation.results import Drive
-from carrl.evaluation.rollout import TIME_LIMIT_LAPS, drive
+from carrl.evaluation.results import Rollout
+from carrl.evaluation.rollout import TIME_LIMIT_LAPS, rollout_laps
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import DiscreteActions
-from carrl.task.world import World
+from carrl.task.task import World
 
 _TURN, _SWITCH, _STEP = 2**40, 2**20, 1
 """What each adds to a cost: digits of one number, so that costs compare as (turns, switches, steps) do."""
@@ -24,7 +24,7 @@ _MEMORY_SLOTS = 2**22 - 3
 """A prime number, so that places spread evenly over the slots."""
 
 
-def find_best_lap(world: World, bin_size: float = 0.25) -> Drive:
+def find_best_lap(world: World, bin_size: float = 0.25) -> Rollout:
     """The lap from the start line with the fewest turns, then the fewest switches, then the fewest steps.
 
     Only laps without a collision and without a step near a wall count. A turn is a step with the action left or
@@ -61,7 +61,9 @@ def find_best_lap(world: World, bin_size: float = 0.25) -> Drive:
             "use a wider track, a car that turns more tightly, or a smaller bin_size"
         )
     playback = iter(actions)
-    (lap,) = drive(world, simulator, lambda observation: torch.tensor([next(playback)], device=observation.device))
+    (lap,) = rollout_laps(
+        world, simulator, lambda observation: torch.tensor([next(playback)], device=observation.device)
+    )
     return lap
 
 

@@ -20,7 +20,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Drive:
+class Rollout:
     """One car's drive: until the lap is complete, it touches a wall, or the time is up.
 
     Attributes:
@@ -61,7 +61,7 @@ class Drive:
         arrays = ("poses", "ranges", "actions")
         return {name: value for name, value in vars(self).items() if name not in arrays}
 
-    def with_trajectory(self, kept: bool) -> "Drive":
+    def with_trajectory(self, kept: bool) -> "Rollout":
         """The same with a trajectory of its own, or without one: no more memory than that is held."""
         end = None if kept else 0
         return replace(self, **{name: getattr(self, name)[:end].copy() for name in ("poses", "ranges", "actions")})
@@ -74,7 +74,7 @@ class Drive:
         }
 
     @classmethod
-    def from_state_dict(cls, state: dict[str, Any]) -> "Drive":
+    def from_state_dict(cls, state: dict[str, Any]) -> "Rollout":
         """What `state_dict` told of.
 
         Raises:
@@ -89,34 +89,36 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Trial:
+class EvaluationResult:
     """Drives of one network.
 
     Attributes:
-        drives: one for each circuit, in the order of `Circuits.validation`.
+        rollouts: one for each circuit, in the order of `Circuits.validation`.
     """
 
-    drives: tuple[Drive, ...]
+    rollouts: tuple[Rollout, ...]
 
     @property
     def laps_completed(self) -> int:
         """On how many circuits the lap was completed."""
-        return sum(drive.lap_completed for drive in self.drives)
+        return sum(drive.lap_completed for drive in self.rollouts)
 
     @property
     def lap_completed(self) -> bool:
         """Whether it was on every one."""
-        return self.laps_completed == len(self.drives)
+        return self.laps_completed == len(self.rollouts)
 
     @property
     def shown(self) -> int:
         """Which drive to look at: the first one of those with the least progress."""
-        return min(range(len(self.drives)), key=lambda index: self.drives[index].progress)
+        return min(range(len(self.rollouts)), key=lambda index: self.rollouts[index].progress)
 
-    def with_trajectory(self, kept: bool) -> "Trial":
+    def with_trajectory(self, kept: bool) -> "EvaluationResult":
         """The same with the trajectory of the drive to look at, or without any."""
         shown = self.shown if kept else None
-        return Trial(tuple(drive.with_trajectory(index == shown) for index, drive in enumerate(self.drives)))
+        return EvaluationResult(
+            tuple(drive.with_trajectory(index == shown) for index, drive in enumerate(self.rollouts))
+        )
 
     @property
     def quality(self) -> tuple[float, ...]:
@@ -126,7 +128,7 @@ class Trial:
 
     def measures(self) -> dict[str, Any]:
         """The figures, ready for JSON: of several drives the means, of counts rounded, and how many are laps."""
-        first, *others = (drive.measures() for drive in self.drives)
+        first, *others = (drive.measures() for drive in self.rollouts)
         if not others:
             return first
         means = {name: self._mean(name) for name in first}
@@ -134,25 +136,25 @@ class Trial:
             **means,
             **{name: round(means[name]) for name in ("lap_steps", "reversals")},
             "lap_completed": self.lap_completed,
-            "collided": any(drive.collided for drive in self.drives),
-            "circuits": len(self.drives),
+            "collided": any(drive.collided for drive in self.rollouts),
+            "circuits": len(self.rollouts),
             "laps_completed": self.laps_completed,
         }
 
     def state_dict(self) -> list[dict[str, Any]]:
         """All of it, arrays as tensors."""
-        return [drive.state_dict() for drive in self.drives]
+        return [drive.state_dict() for drive in self.rollouts]
 
     @classmethod
-    def from_state_dict(cls, state: list[dict[str, Any]]) -> "Trial":
+    def from_state_dict(cls, state: list[dict[str, Any]]) -> "EvaluationResult":
         """What `state_dict` told of."""
-        return cls(tuple(map(Drive.from_state_dict, state)))
+        return cls(tuple(map(Rollout.from_state_dict, state)))
 
     def _mean(self, name: str) -> float:
-        return math.fsum(getattr(drive, name) for drive in self.drives) / len(self.drives)
+        return math.fsum(getattr(drive, name) for drive in self.rollouts) / len(self.rollouts)
 
 
-def tally(runs: Sequence[Sequence[Drive]], step_length: float) -> dict[str, Any]:
+def aggregate(runs: Sequence[Sequence[Rollout]], step_length: float) -> dict[str, Any]:
     """The figures of the drives of one or more runs, ready for JSON.
 
     The interval of the share of completed laps is Wilson's and that of the collisions per km is the exact one of a
@@ -182,7 +184,7 @@ def tally(runs: Sequence[Sequence[Drive]], step_length: float) -> dict[str, Any]
     }
 
 
-def _mean(drives: Sequence[Drive], name: str) -> float:
+def _mean(drives: Sequence[Rollout], name: str) -> float:
     return math.fsum(getattr(drive, name) for drive in drives) / len(drives)
 
 

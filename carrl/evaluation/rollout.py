@@ -3,22 +3,22 @@
 Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import ActionMap, steer3
 from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS
-from carrl.task.task import Task
-from carrl.task.world import World
+from carrl.task.task import Task, World
 from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
@@ -29,6 +29,8 @@ TIME_LIMIT_LAPS = 2.0
 
 MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
+NO_POSES, NO_ACTIONS = np.empty((0, 0), dtype=np.float32), np.empty(0, dtype=np.int64)
+"""The trajectory of a drive whose own is not kept."""
 CARS_AT_ONCE = 256
 """As many tracks are driven together as this many cars allow, but at least one, so that memory stays bounded."""
 
@@ -63,10 +65,16 @@ def random_policy(seed: int, action: ActionMap) -> Policy:
     return act
 
 
-def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -> list[Drive]:
+def rollout_laps(
+    world: World,
+    simulator: Simulator,
+    policy: Policy,
+    starts: int = 1,
+    kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
+) -> list[Rollout]:
     """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
 
-    The places are spread evenly along the track, from the start line on.
+    The places are spread evenly along the track, from the start line on; `kept` is as in `rollout`.
 
     Raises:
         ConfigError: fewer than one start place, or a drive takes too many steps.
@@ -75,11 +83,11 @@ def drive(world: World, simulator: Simulator, policy: Policy, starts: int = 1) -
         raise ConfigError(f"starts is {starts}; it must be at least 1")
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
-    return rollout(world, simulator, policy, torch.cat(stations), track)
+    return rollout(world, simulator, policy, torch.cat(stations), track, kept)
 
 
-class Survey:
-    """Laps of several tracks with the car, sensors and reward of a world.
+class TrackEvaluator:
+    """Drives policies on several tracks with the car and sensors of a world, some tracks at a time.
 
     Args:
         world: that says how a car drives; its own tracks do not matter.
@@ -93,19 +101,17 @@ class Survey:
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
 
-    def drive(self, policy: Policy, world: World | None = None) -> list[list[Drive]]:
-        """The drives of each track; a policy that sees something else needs a world of its own, with the same car.
+    def evaluate(self, policy: Policy, world: World | None = None) -> list[list[Rollout]]:
+        """The rollouts on each track; a policy that sees something else needs a world of its own, with the same car.
 
         Raises:
             ConfigError: fewer than one start place.
         """
-        return list(self._drives(policy, world or self._world))
-
-    def _drives(self, policy: Policy, world: World) -> Iterator[list[Drive]]:
+        found: list[list[Rollout]] = []
         for simulator in self._simulators:
-            drives = drive(world, simulator, policy, self._starts)
-            for begin in range(0, len(drives), self._starts):
-                yield drives[begin : begin + self._starts]
+            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, kept=lambda _: ())
+            found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
+        return found
 
 
 @dataclass(frozen=True)
@@ -113,15 +119,20 @@ class _Moment(Rows):
     """What is kept of each moment of a rollout, [B, ...]; of several moments [T, B, ...]."""
 
     cars: CarState
-    ranges: Tensor
+    near_wall: Tensor
     collided: Tensor
     reward_terms: Tensor
     action: Tensor
 
 
 def rollout(
-    world: World, simulator: Simulator, policy: Policy, stations: Tensor, track: Tensor | None = None
-) -> list[Drive]:
+    world: World,
+    simulator: Simulator,
+    policy: Policy,
+    stations: Tensor,
+    track: Tensor | None = None,
+    kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
+) -> list[Rollout]:
     """Drives one lap from each of these places.
 
     Args:
@@ -130,6 +141,7 @@ def rollout(
         policy: what to do.
         stations: of the starts, m along the centreline, [B].
         track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
+        kept: given the drives without their trajectories, says which are to have them; by default all are.
 
     Raises:
         ConfigError: that takes too many steps, or a place is not a finite number.
@@ -150,17 +162,18 @@ def rollout(
         after = task.step(state, action)
         state, observation = after.state, after.observation
         outcome = after.outcome
-        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, after.reward_terms, action))
+        near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(outcome.ranges))
+        moments.append(_Moment(outcome.cars, near_wall, outcome.collided, after.reward_terms, action))
         driving &= ~(outcome.collided | simulator.has_lapped(outcome.cars)) & (step < limits)
         if not driving.any():
             break
-    return _sum_up(_Moment.stack(moments), limits, task, stations)
+    return _sum_up(_Moment.stack(moments), limits, task, stations, kept)
 
 
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
     nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
-    return _Moment(cars, task.simulator.sense(cars), nothing, terms, action)
+    return _Moment(cars, nothing, nothing, terms, action)
 
 
 def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
@@ -180,13 +193,18 @@ def _check_limits(limits: Tensor, simulator: Simulator) -> None:
         )
 
 
-def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> list[Drive]:
+def _sum_up(
+    course: _Moment,
+    limits: Tensor,
+    task: Task,
+    stations: Tensor,
+    kept: Callable[[Sequence[Rollout]], Sequence[int]] | None,
+) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator, reward = task.simulator, task.reward
     ended = course.collided | simulator.has_lapped(course.cars)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
-    near = reward.near_wall.is_near_wall(simulator.sensor.readings(course.ranges[1:]))
     lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
     steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
     progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
@@ -195,7 +213,7 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
         driven = steer[1 : steps + 1, car]
         switched = driven[1:] != driven[:-1]
         drives.append(
-            Drive(
+            Rollout(
                 start=stations[car].item(),
                 lap_completed=lapped[car],
                 collided=bool(course.collided[steps, car]),
@@ -206,10 +224,23 @@ def _sum_up(course: _Moment, limits: Tensor, task: Task, stations: Tensor) -> li
                 forward_share=(driven == 0).double().mean().item(),
                 switches_per_100m=100 * switched.sum().item() / (steps * simulator.vehicle.step_length),
                 reversals=int((driven[1:] * driven[:-1] < 0).sum()),
-                near_wall_share=near[:steps, car].double().mean().item(),
-                poses=course.cars.pose[: steps + 1, car].cpu().numpy(),
-                ranges=course.ranges[: steps + 1, car].cpu().numpy(),
-                actions=course.action[1 : steps + 1, car].cpu().numpy(),
+                near_wall_share=course.near_wall[1 : steps + 1, car].double().mean().item(),
+                poses=NO_POSES,
+                ranges=NO_POSES,
+                actions=NO_ACTIONS,
             )
         )
+    for car in range(len(drives)) if kept is None else kept(drives):
+        drives[car] = _with_trajectory(drives[car], course[:, car], simulator)
     return drives
+
+
+def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> Rollout:
+    """A drive with what a picture of it shows: of its own course [T + 1], which may go on after it."""
+    cars = course.cars[: driven.lap_steps + 1]
+    return replace(
+        driven,
+        poses=cars.pose.cpu().numpy().copy(),
+        ranges=simulator.sense(cars).cpu().numpy(),
+        actions=course.action[1 : driven.lap_steps + 1].cpu().numpy().copy(),
+    )

@@ -105,6 +105,12 @@ def records(content: Content, begin: int, end: int) -> Iterator[tuple[int, int, 
         begin += length
 
 
+def length_at(content: Content, position: int) -> int:
+    """How many bytes the body of a record that may begin there may have at most, whatever it says itself."""
+    _, length = HEAD.unpack(content[position : position + HEAD.size])
+    return min(int(length), MAX_RECORD_BYTES, len(content) - position - HEAD.size)
+
+
 def records_in(content: bytes) -> Iterator[tuple[int, bytes]]:
     """Yields (opcode, body) of each record in a chunk or a summary.
 

@@ -138,12 +138,6 @@ class McapFile:
         """Waits until what is written is on the disk itself, where it outlives the machine's power."""
         os.fsync(self._file.fileno())
 
-    def copy_to(self, path: Path) -> None:
-        """Writes all of the file anew at another place, even if its own was deleted."""
-        with path.open("xb") as copy:
-            for offset in range(0, self.size, _READ_AT_ONCE):
-                copy.write(os.pread(self._file.fileno(), min(_READ_AT_ONCE, self.size - offset), offset))
-
     def close(self) -> None:
         """Closes the file as it is; a second call does nothing."""
         self._file.close()

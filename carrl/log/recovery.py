@@ -21,13 +21,13 @@ from mcap.writer import MCAP0_MAGIC
 
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import version2
-from carrl.log.log_file import ATTACHMENT, begin_log, chunk_beginning, describe
+from carrl.log.log_file import ATTACHMENT, Decoded, begin_log, chunk_beginning, describe
 from carrl.log.mcap_read import IndexedFile, open_log
 from carrl.log.mcap_records import McapIndex
 from carrl.log.mcap_write import McapFile
 from carrl.log.messages import Episode
 from carrl.log.reader import quoted_names
-from carrl.log.salvage import Content, Decoded, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
+from carrl.log.salvage import Content, Pieces, Place, find_pieces, lone_messages, record_at, unpacked
 from carrl.log.schema import (
     CHANNELS,
     EPISODES,

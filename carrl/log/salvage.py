@@ -10,45 +10,29 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from itertools import islice
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata
+from mcap.records import Attachment, Chunk, McapRecord, Metadata
 from mcap.writer import MCAP0_MAGIC
 
-from carrl.log import version2
-from carrl.log.codec import Batch, decode_small, encode_small
-from carrl.log.log_file import ATTACHMENT, content_checksum, is_intact
+from carrl.log.log_file import ATTACHMENT, Channels, content_checksum, is_intact
 from carrl.log.mcap_records import (
     HEAD,
-    MAX_RECORD_BYTES,
     McapIndex,
-    message_of,
-    parse,
+    length_at,
     records,
-    records_in,
     unpack,
     unpacked_bytes,
 )
-from carrl.log.messages import Episode, Metrics
-from carrl.log.schema import CHANNELS, COLUMNS_ENTRY, METADATA_NAME, SMALL_MESSAGES, TOPICS, TRANSITIONS, Schema
+from carrl.log.schema import CHANNELS, METADATA_NAME
 
 Content = mmap.mmap
 """A file's bytes, of which those looked at are in memory."""
 
-_MAX_MESSAGES = 2**17
-"""How many messages of a chunk are read; the writer's have some ten thousand."""
-_CHANNEL = re.compile(
-    rb"\x04.{4}\x00{4}.{4}(?:%s)\x08\x00{3}protobuf"
-    % b"|".join(struct.pack("<I", len(topic)) + topic.encode() for topic in CHANNELS),
-    re.DOTALL,
-)
-"""A channel record of one of the topics; MCAP keeps no CRC of it."""
 _RUN = re.compile("[0-9a-f]{16}")
 _CANDIDATE = re.compile(
     rb"[\x06\x09\x0c].{4}\x00{4}(?:"
@@ -74,85 +58,6 @@ _CANDIDATE_COST = 2**14
 _MESSAGE_COST = 2**14
 _PAID_WITH_A_BYTE = 2**11
 """Messages of a log take more than eight bytes each, packed, and so cost nothing."""
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """A message that says what its topic's messages say; `batch` if it is one of transitions, else `small`."""
-
-    message: Message
-    topic: str
-    run: int
-    batch: Batch | None = None
-    small: Episode | Metrics | None = None
-
-    @property
-    def number(self) -> int:
-        """How many transitions, or messages of the topic, come before it."""
-        return self.batch.offset if self.batch else self.message.sequence
-
-
-class Channels:
-    """What channel records say of each number: perhaps two things, if a file is damaged or has pieces of two logs.
-
-    Attributes:
-        schemas: of transitions, as described so far.
-    """
-
-    def __init__(self, content: Content, index: McapIndex | None) -> None:
-        """Takes the channels that the index tells of, or else all that are anywhere in the file."""
-        self._topics: dict[int, list[str]] = {}
-        self.schemas: list[Schema] = []
-        for channel in index.channels.values() if index else ():
-            self.note(channel)
-        for match in _CHANNEL.finditer(content) if index is None else ():
-            position = match.start()
-            body = content[position + HEAD.size : position + HEAD.size + _length_at(content, position)]
-            with suppress(ValueError):
-                self.note(parse(Opcode.CHANNEL, body))
-
-    def note(self, channel: McapRecord | None) -> None:
-        """Takes what a channel record says."""
-        assert isinstance(channel, Channel)
-        topics = self._topics.setdefault(channel.id, [])
-        if channel.topic not in topics:
-            topics.append(channel.topic)
-        if channel.topic == TRANSITIONS and COLUMNS_ENTRY in channel.metadata:
-            with suppress(ValueError):
-                schema = Schema.from_json(channel.metadata[COLUMNS_ENTRY])
-                if schema not in self.schemas:
-                    self.schemas.append(schema)
-
-    def decoded(self, messages: bytes) -> Iterator[Decoded | None]:
-        """Yields the messages of an intact chunk, None for those that are not of this format; notes its channels."""
-        with suppress(ValueError):  # whoever wrote records that do not fit their chunk is to blame
-            for opcode, body in islice(records_in(messages), _MAX_MESSAGES):
-                if opcode == Opcode.MESSAGE:
-                    yield self._decode(message_of(body))
-                elif opcode == Opcode.CHANNEL:
-                    self.note(parse(opcode, body))
-
-    def _decode(self, message: Message) -> Decoded | None:
-        known = self._topics.get(message.channel_id)
-        for topic in known or [TOPICS.get(message.channel_id, "")]:
-            if topic == TRANSITIONS and (batch := self._batch(message.data)):
-                return Decoded(message, topic, batch.run, batch=batch)
-            if topic in SMALL_MESSAGES:
-                with suppress(ValueError):
-                    run, small = decode_small(topic, message.data)
-                    # One that may be of another topic must say nothing but what this topic's do.
-                    if known == [topic] or encode_small(topic, run, small) == message.data:
-                        return Decoded(message, topic, run, small=small)
-        return None
-
-    def _batch(self, message: bytes) -> Batch | None:
-        """The transitions of a message, by whichever columns it has; version 2 did not describe its own."""
-        for schema in self.schemas:
-            with suppress(ValueError):
-                return Batch.decode(message, schema)
-        with suppress(ValueError):
-            return Batch.decode(message, version2.file_schema(message))
-        return None
 
 
 @dataclass(frozen=True, order=True)
@@ -248,7 +153,7 @@ def find_pieces(content: Content, index: McapIndex | None) -> Pieces:
             patience -= max(0, _MESSAGE_COST * _add(pieces, position, record) - _PAID_WITH_A_BYTE * (end - position))
             position = end
         else:
-            patience -= _CANDIDATE_COST + _length_at(content, position) + _examined_bytes(record)
+            patience -= _CANDIDATE_COST + length_at(content, position) + _examined_bytes(record)
             position += 1
     if index is not None:
         _add_unchecked(pieces, content, index)
@@ -331,18 +236,12 @@ def _add_places(pieces: Pieces, position: int, content: bytes, stretch: int = 0)
 def _parsed_at(content: Content, position: int) -> tuple[McapRecord | None, int]:
     """What may be a record that begins at this byte, and where it ends, whatever its own length says."""
     begin = position + HEAD.size
-    stream = ReadDataStream(BytesIO(content[begin : begin + _length_at(content, position)]))
+    stream = ReadDataStream(BytesIO(content[begin : begin + length_at(content, position)]))
     try:
         record = _KINDS[content[position]].read(stream)
     except Exception:  # mcap's parsers raise whatever the bytes lead them to
         return None, begin
     return record, begin + stream.count
-
-
-def _length_at(content: Content, position: int) -> int:
-    """How many bytes the body of the record there may have."""
-    _, length = HEAD.unpack_from(content, position)
-    return min(length, MAX_RECORD_BYTES, len(content) - position - HEAD.size)
 
 
 def _is_intact(record: McapRecord, body: bytes) -> bool:

@@ -14,7 +14,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
 from mcap.records import Message
 
 from carrl.errors import LogError
@@ -99,11 +98,6 @@ class LogWriter:
         self._chunk_beginning = chunk_beginning(f"{self._run:016x}", self.schema)
 
     @property
-    def keys(self) -> list[str | tuple[str, ...]]:
-        """Of the transitions: what `write` needs of them."""
-        return self.schema.keys
-
-    @property
     def path(self) -> Path:
         """The file being written."""
         return part_path(self._first_path, self._part)
@@ -148,9 +142,13 @@ class LogWriter:
             columns = columns_of(transitions, self.schema)
             if len(columns["time_ns"]) == 0:
                 return
-            self._check_times(columns["time_ns"])
+            times = columns["time_ns"]
+            if times[0] < self._last_time or (times[1:] < times[:-1]).any():
+                raise ValueError(f"column 'time_ns' decreases, or begins before {self._last_time}, where the log is")
             if self._max_file_bytes is not None and self._file.size >= self._max_file_bytes:
-                self._go_on_in_another_file()
+                self.close()
+                self._part += 1
+                self._begin_file()
             batches = self._batches(self._subset(columns))
             messages = [(batch.encode(), batch.columns["time_ns"]) for batch in batches]
         except ValueError as error:
@@ -190,19 +188,6 @@ class LogWriter:
         with self._closing_on_failure():
             self._write_held()
         self._flushed_at = time.monotonic()
-
-    def put_back(self) -> None:
-        """Closes the log and writes it anew at its place, which was deleted or moved; nothing else is changed.
-
-        Raises:
-            LogError: the disk fails.
-        """
-        self._check_open()
-        with self._closing_on_failure():
-            self._write_held()
-            self._file.finish()
-            self._file.copy_to(self.path)
-            self._file.close()
 
     def close(self) -> None:
         """Completes the file with its index and closes it; a second call does nothing.
@@ -245,8 +230,10 @@ class LogWriter:
         try:
             if state.get("columns") != self.schema.as_json():  # of an older version of the format, for one
                 raise ValueError("its columns are others")
-            for later in self._later_parts():
+            part = self._part + 1  # later ones come anew
+            while os.path.lexists(later := part_path(self._first_path, part)):
                 later.unlink()
+                part += 1
             self._file = McapFile(self.path, Position(*state["position"]))
         except (OSError, ValueError) as error:
             self._leave_alone(self.path, error)
@@ -264,25 +251,9 @@ class LogWriter:
         _logger.warning("Log '%s' cannot be gone on with: %s. It goes on in '%s'.", path, reason, self.path)
         self._begin_file()
 
-    def _later_parts(self) -> Iterator[Path]:
-        """Files in which the log went on after the state; they come anew."""
-        part = self._part + 1
-        while os.path.lexists(path := part_path(self._first_path, part)):
-            yield path
-            part += 1
-
-    def _go_on_in_another_file(self) -> None:
-        self.close()
-        self._part += 1
-        self._begin_file()
-
     def _check_open(self) -> None:
         if self.closed:
             raise LogError(f"log '{self.path}': it is closed; write before close(), or open another log")
-
-    def _check_times(self, times: np.ndarray) -> None:
-        if times[0] < self._last_time or (times[1:] < times[:-1]).any():
-            raise ValueError(f"column 'time_ns' decreases, or begins before {self._last_time}, where the log is")
 
     def _subset(self, columns: Columns) -> Columns:
         if self._envs is None and self._every_nth_episode == 1:

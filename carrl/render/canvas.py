@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from matplotlib import get_data_path
@@ -111,6 +111,15 @@ class View:
         return Affine2D().scale(self.scale, -self.scale).translate(*self.places(np.zeros(2)))
 
 
+class _Line(NamedTuple):
+    """A line of text."""
+
+    text: str
+    size: float
+    bold: bool
+    anchor: Anchor
+
+
 class Canvas:
     """What a renderer draws on.
 
@@ -181,16 +190,21 @@ class Canvas:
         rim: str | None = None,
     ) -> None:
         """Writes in one line, `size` units high, with a rim of another colour if there is one."""
-        letters = TextPath((0, 0), " ".join(text.split()), size, prop=FontProperties(fname=_font_file(bold)))
-        x, y = np.asarray(place)
-        if anchor != "ls" and len(letters.vertices):
-            box = letters.get_extents()
-            x -= {"m": (box.x0 + box.x1) / 2, "r": box.x1, "l": 0}[anchor[0]]
-            y += (box.y0 + box.y1) / 2 if anchor == "mm" else 0
-        outline = letters.transformed(Affine2D().scale(1, -1).translate(x, y))
+        line = _Line(" ".join(text.split()), size, bold, anchor)
         if rim:
-            self.path(outline, Stroke(rim, _RIM))
-        self.path(outline, fill=colour)
+            self._write(place, line, rim, _RIM)
+        self._write(place, line, colour)
+
+    def _write(self, place: ArrayLike, line: "_Line", colour: str, rim: float = 0.0) -> None:
+        """Fills the letters, or a rim about them of this width."""
+        letters = TextPath((0, 0), line.text, line.size, prop=FontProperties(fname=_font_file(line.bold)))
+        x, y = np.asarray(place)
+        if line.anchor != "ls" and len(letters.vertices):
+            box = letters.get_extents()
+            x -= {"m": (box.x0 + box.x1) / 2, "r": box.x1, "l": 0}[line.anchor[0]]
+            y += (box.y0 + box.y1) / 2 if line.anchor == "mm" else 0
+        outline = letters.transformed(Affine2D().scale(1, -1).translate(x, y))
+        self.path(outline, Stroke(colour, rim) if rim else None, None if rim else colour)
 
 
 class PixelCanvas(Canvas):
@@ -226,24 +240,8 @@ class PixelCanvas(Canvas):
             picture[:, :, channel] = self._pixels[:, :, channel]
         return picture
 
-    def text(
-        self,
-        place: ArrayLike,
-        text: str,
-        size: float,
-        colour: str,
-        *,
-        bold: bool = False,
-        anchor: Anchor = "ls",
-        rim: str | None = None,
-    ) -> None:
-        """Writes in one line, `size` units high, with a rim of another colour if there is one."""
-        if rim:
-            self._stamp(place, (text, size * self._scale, bold, anchor, _RIM * self._scale / 2), rim)
-        self._stamp(place, (text, size * self._scale, bold, anchor, 0.0), colour)
-
-    def _stamp(self, place: ArrayLike, letters: "tuple[str, float, bool, Anchor, float]", colour: str) -> None:
-        share, offset = _stamp(*letters)
+    def _write(self, place: ArrayLike, line: "_Line", colour: str, rim: float = 0.0) -> None:
+        share, offset = _stamp(line._replace(size=line.size * self._scale), rim * self._scale / 2)
         left, top = (round(at * self._scale) + by for at, by in zip(np.asarray(place).tolist(), offset, strict=True))
         covered = self._pixels[max(0, top) : top + len(share), max(0, left) : left + share.shape[1], :3]
         share = share[max(0, -top) :, max(0, -left) :][: covered.shape[0], : covered.shape[1]]
@@ -288,15 +286,13 @@ def _rgb(colour: str) -> tuple[float, float, float, float]:
 
 
 @lru_cache(maxsize=2048)
-def _stamp(
-    text: str, size: float, bold: bool, anchor: Anchor, rim: float
-) -> tuple[NDArray[np.float32], tuple[int, int]]:
+def _stamp(line: _Line, rim: float) -> tuple[NDArray[np.float32], tuple[int, int]]:
     """How far letters cover each pixel, [h, w, 1] in 0..1, and where its corner lies from the place of the anchor."""
-    text, font = " ".join(text.split()), _font(size, bold)
-    left, top, right, bottom = font.getbbox(text, anchor=anchor, stroke_width=rim)
+    font = _font(line.size, line.bold)
+    left, top, right, bottom = font.getbbox(line.text, anchor=line.anchor, stroke_width=rim)
     left, top = math.floor(left), math.floor(top)
     mask = Image.new("L", (math.ceil(right) - left, math.ceil(bottom) - top))
-    ImageDraw.Draw(mask).text((-left, -top), text, 255, font, anchor, stroke_width=rim)
+    ImageDraw.Draw(mask).text((-left, -top), line.text, 255, font, line.anchor, stroke_width=rim)
     return np.asarray(mask, dtype=np.float32)[:, :, None] / np.float32(255), (left, top)
 
 

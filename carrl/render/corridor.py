@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from carrl.printable import printable
-from carrl.render.figure import WIDTH, new_figure, save_figure
+from carrl.errors import printable
+from carrl.render.curves import WIDTH, new_figure, save_figure
 from carrl.tracks.rings import CorridorError
 
 _MOST_PIXELS = 1000

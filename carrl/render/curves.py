@@ -1,7 +1,6 @@
-"""Learning curves, for one run or for many side by side: single returns faintly, means of blocks of episodes boldly.
+"""Diagrams, and learning curves for one run or many: single returns faintly, means of blocks of episodes boldly.
 
-The first lap is a dashed line. Shapes: `E` episodes, `K` blocks. Returns are undiscounted sums of rewards; episodes
-are numbered from 1.
+Shapes: `E` episodes, numbered from 1, `K` blocks. Returns are undiscounted sums of rewards.
 
 Source: the paper's figure 3, "average reward per 20 episodes (during training)".
 """
@@ -9,19 +8,104 @@ Source: the paper's figure 3, "average reward per 20 episodes (during training)"
 import math
 import re
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from numpy.typing import NDArray
+from PIL import Image
 
-from carrl.render.colours import BLUE, FAINT, INK, VERMILLION
-from carrl.render.figure import new_figure, plain_axes, save_figure
+from carrl.files import write_whole
+from carrl.render import picture_format
+from carrl.render.canvas import Area, Canvas, PixelCanvas, View
+from carrl.render.colours import BLUE, FAINT, INK, PAPER, VERMILLION
+
+WIDTH = 7.0
+"""Width of a figure, inches."""
+DPI = 130
+"""Pixels per inch: a figure is 910 pixels wide, about as wide as a README."""
+_UNDATED = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+"""The same figure gives the same bytes."""
+
+
+def new_figure(height: float) -> Figure:
+    """A white figure of the common width, height in inches, in no window and no global state."""
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def plain_axes(axes: Axes) -> None:
+    """Gives axes of a diagram two thin spines, small ticks and faint horizontal lines."""
+    axes.set_facecolor("white")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set(color=FAINT, linewidth=0.8)
+    axes.tick_params(colors=FAINT, labelcolor=INK, labelsize=8, width=0.8, length=3)
+    axes.grid(axis="y", color="#e4e4e4", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Writes the figure to `path`, whole or not at all: a reader sees the old picture or the new one.
+
+    The format is that which the name ends in: .png, .pdf or .svg.
+
+    Raises:
+        CarrlError: it ends in another, or cannot be written there.
+    """
+    kind, picture = picture_format(path), BytesIO()
+    figure.savefig(picture, format=kind, dpi=DPI, facecolor="white", metadata=_UNDATED.get(kind))
+    write_whole(path, picture.getvalue())
+
+
+def save_drawing(path: str | Path, size: tuple[float, float], draw: Callable[[Canvas], None]) -> None:
+    """Writes what is drawn on a canvas of this size, points, as `save_figure` does."""
+    if picture_format(path) != "png":
+        figure = Figure(figsize=(size[0] / 72, size[1] / 72))
+        figure.add_artist(_Drawing(draw))
+        save_figure(figure, path)
+        return
+    canvas, file = PixelCanvas(*size, scale=DPI / 72), BytesIO()
+    canvas.clear(PAPER)
+    draw(canvas)
+    Image.fromarray(canvas.picture()).save(file, format="PNG", dpi=(DPI, DPI))
+    write_whole(path, file.getvalue())
+
+
+def add_drawing(figure: Figure, axes: Axes, draw: Callable[[Canvas, View], None]) -> None:
+    """Draws on axes in metres, of equal scales, below everything else there; the units are points."""
+    axes.add_artist(_Drawing(lambda canvas: draw(canvas, _view_of(figure, axes))))
+
+
+def _view_of(figure: Figure, axes: Axes) -> View:
+    """What axes show, in points of their figure."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    box, (width, height) = axes.get_position(), 72 * figure.get_size_inches()
+    area = Area(box.x0 * width, (1 - box.y1) * height, box.width * width, box.height * height)
+    return View(area, np.array([left + right, bottom + top]) / 2, area.width / (right - left))
+
+
+class _Drawing(Artist):
+    """A drawing as a part of one of Matplotlib's figures, whose units are points."""
+
+    def __init__(self, draw: Callable[[Canvas], None]) -> None:
+        super().__init__()
+        self._draw_on = draw
+
+    def draw(self, renderer: RendererBase) -> None:
+        scale: Any = renderer.points_to_pixels(1)
+        self._draw_on(Canvas(renderer, float(scale)))
+
 
 DOT = "#9a9a9a"
 HEADROOM = 0.15
@@ -234,3 +318,34 @@ def _label_first_lap(axes: Axes, episode: int) -> None:
         fontsize=8.5,
         color=VERMILLION,
     )
+
+
+_LEAST_STEP = 1e-300
+
+
+def round_number(least: float) -> float:
+    """The smallest of ..., 1, 2, 5, 10, 20, 50, ... that is not below `least`, which is positive."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(digit * power for digit in (1, 2, 5, 10) if digit * power >= least)
+
+
+def round_ticks(low: float, high: float, most: int) -> list[float]:
+    """Multiples of a round number from `low` to `high`, with at most so many spaces between them."""
+    step = step_between(low, high, most)
+    return [step * number for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def step_between(low: float, high: float, most: int) -> float:
+    """A round number that is at most so many times between two others; 1 between equals, more where floats are sparse.
+
+    Neither the difference of two floats nor a part of it need be a float above 0.
+    """
+    least = high / most - low / most if high > low else 1.0
+    return round_number(max(least, math.ulp(low), math.ulp(high), _LEAST_STEP))
+
+
+def span(low: float, high: float) -> tuple[float, float]:
+    """These two, or a little to both sides of them where no chart could tell them apart."""
+    margin = 0.5 if high <= low else 0.0
+    least = 64 * max(math.ulp(low), math.ulp(high), _LEAST_STEP)
+    return (low, high) if high - low >= least else (low - max(margin, least), high + max(margin, least))

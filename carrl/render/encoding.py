@@ -20,10 +20,7 @@ BT709, LIMITED = 1, 1
 """H.264's numbers for the colours of high definition, and for brightness from 16 to 235."""
 OLD_TRAIL, RULE = "#a8a8a8", "#e0e0e0"
 """The line driven long ago, and thin lines between parts of a panel."""
-_FOREGROUNDS = (
-    *(INK, FAINT, BLACK, BLUE, VERMILLION, GREEN, YELLOW),
-    *(LIGHT.wall, OLD_TRAIL, LIGHT.centreline, RULE),
-)
+_FOREGROUNDS = (*(INK, FAINT, BLACK, BLUE, VERMILLION, GREEN, YELLOW), *(LIGHT.wall, OLD_TRAIL, LIGHT.centreline, RULE))
 _SHADES = 8
 """Steps from a background to a colour on it: at an antialiased edge the two are mixed."""
 

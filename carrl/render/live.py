@@ -3,12 +3,16 @@
 Shapes: `B` cars, `R` rays, `T` time steps.
 """
 
+import os
+import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carrl.errors import ConfigError
 from carrl.render.canvas import Area, Floats, Picture, PixelCanvas, Stroke, View, fitted, text_width
 from carrl.render.colours import DARK, ORANGE, PURPLE, SKY, YELLOW, blend, nearness_colour
 from carrl.render.scene import (
@@ -289,3 +293,54 @@ def _map_panel(ground: Ground) -> PixelCanvas:
 def _map_area(panel: Area) -> Area:
     """Where on its panel the map is, above the track's name."""
     return Area(panel.left + 8, panel.top + 8, panel.width - 16, panel.height - 32)
+
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+try:
+    with warnings.catch_warnings():
+        # pygame 2.6 imports setuptools' pkg_resources where that exists, which then warns of its own end.
+        warnings.filterwarnings("ignore", "pkg_resources is deprecated")
+        warnings.filterwarnings("ignore", r"Deprecated call to `pkg_resources", DeprecationWarning)
+        import pygame
+except ImportError as error:
+    raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
+
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
+
+
+class Window:
+    """A window on the display that shows pictures at a steady pace.
+
+    Args:
+        size: width and height, px.
+        title: above it.
+
+    Raises:
+        ConfigError: there is no display.
+    """
+
+    def __init__(self, size: tuple[int, int], title: str) -> None:
+        """Opens it."""
+        try:
+            # Without a display SDL 2.28 draws where nobody can see it, instead of failing.
+            if sys.platform == "linux" and not any(name in os.environ for name in _DISPLAYS):
+                raise pygame.error("no display was found")
+            pygame.display.init()
+            self._screen = pygame.display.set_mode(size)
+        except pygame.error as error:
+            pygame.display.quit()
+            raise ConfigError(f"no window can be opened: {error}; render_mode='rgb_array' needs no display") from error
+        pygame.display.set_caption(title)
+        self._clock = pygame.time.Clock()
+
+    def show(self, picture: Picture, fps: float) -> None:
+        """Shows a picture [H, W, 3], no sooner than 1 / fps seconds after the one before."""
+        height, width = picture.shape[:2]
+        self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
+        pygame.event.pump()
+        self._clock.tick(fps)
+        pygame.display.flip()
+
+    def close(self) -> None:
+        """Closes it; twice does no harm."""
+        pygame.display.quit()

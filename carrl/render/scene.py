@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from carrl.log.scene import TrackShape
 from carrl.render.canvas import Canvas, Floats, Stroke, View, closed, segments
 from carrl.render.colours import DARK, LIGHT, PAPER, Theme
+from carrl.render.curves import round_number
 from carrl.render.episode import connected_walls
-from carrl.render.ticks import round_number
 
 if TYPE_CHECKING:
     from carrl.tracks.track import Track
@@ -194,6 +194,18 @@ def draw_ground(canvas: Canvas, view: View, ground: Ground, style: Style, lit: C
         _draw_gates(canvas, view, ground, style, lit, on_deck=True)
     for side in [side for deck in ground.decks for side in deck]:
         canvas.path(Outline(side), wall, view=view)
+
+
+def number_gates(canvas: Canvas, view: View, gates: Floats, size: float, most: int, colour: str) -> None:
+    """Numbers beside the left ends of the gates [G, 2, 2], of so many at most, that are seen; the last is the start."""
+    ends = view.places(gates)
+    outwards = ends[:, 0] - ends[:, 1]
+    places = ends[:, 0] + 1.1 * size * outwards / np.maximum(1e-9, np.linalg.norm(outwards, axis=1))[:, None]
+    every = round(round_number(max(1.0, len(gates) / most)))
+    for gate in np.flatnonzero(view.area.inset(0.8 * size).holds(places)).tolist():
+        if gate == len(gates) - 1 or gate % every == every - 1:
+            name = "start" if gate == len(gates) - 1 else str(gate + 1)
+            canvas.text(places[gate], name, size, colour, anchor="mm")
 
 
 def draw_route(canvas: Canvas, view: View, ground: Ground, stroke: Stroke) -> None:

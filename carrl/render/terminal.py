@@ -20,8 +20,8 @@ from rich.text import Text
 
 from carrl.log.scene import TrackShape
 from carrl.render.colours import DARK, rgb
+from carrl.render.curves import round_ticks, step_between
 from carrl.render.episode import connected_walls
-from carrl.render.ticks import round_ticks, step_between
 
 Bounds = tuple[float, float]
 DOTS = 2, 4

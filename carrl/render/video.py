@@ -29,6 +29,7 @@ from carrl.render.scene import (
     draw_rays,
     draw_route,
     draw_scale_bar,
+    number_gates,
     ray_ends,
 )
 
@@ -126,7 +127,7 @@ class WorldPicture:
         lit = [gate for passed, gate in self.trace.passings if gate >= 0 and passed < step <= passed + FLASH]
         draw_ground(canvas, view, self._ground, FILM, lit)
         _draw_direction(canvas, view.places(self._ground.gates[-1]))
-        _number_gates(canvas, view, self._ground.gates)
+        number_gates(canvas, view, self._ground.gates, 15, len(self._ground.gates), FAINT)
         self._draw_trail(canvas, view, step, pose)
         scene = self.trace.scene
         reaches = ranges / scene.sensor_range
@@ -213,16 +214,6 @@ def _draw_direction(canvas: Canvas, line: Floats) -> None:
     across = (line[1] - line[0]) / max(1e-9, float(np.linalg.norm(line[1] - line[0])))
     forward, middle = np.array([across[1], -across[0]]), line.mean(axis=0)
     canvas.area([[middle + 8 * forward + 7 * across, middle + 8 * forward - 7 * across, middle + 20 * forward]], INK)
-
-
-def _number_gates(canvas: Canvas, view: View, gates: Floats) -> None:
-    """A number beside the left end of each gate [G, 2, 2] that is in the picture; the last one is the start."""
-    ends = view.places(gates)
-    outwards = ends[:, 0] - ends[:, 1]
-    places = ends[:, 0] + 16 * outwards / np.maximum(1e-9, np.linalg.norm(outwards, axis=1))[:, None]
-    for gate in np.flatnonzero(view.area.inset(12).holds(places)):
-        name = "start" if gate == len(gates) - 1 else str(gate + 1)
-        canvas.text(places[gate], name, 15, FAINT, anchor="mm")
 
 
 def _poses_between(trace: EpisodeTrace, steps: NDArray[np.int64], shares: Floats) -> Floats:

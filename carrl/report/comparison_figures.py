@@ -11,12 +11,19 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from carrl.render.colours import FAINT, INK, VERMILLION
-from carrl.render.figure import new_figure, plain_axes, save_figure
+from carrl.render.curves import new_figure, plain_axes, save_figure
 from carrl.report.curve_figures import Look, looks, wrapped
 from carrl.report.findings import Comparison, Findings, GroupFigure
 from carrl.report.groups import Group
-from carrl.report.measures import FIRST_LAP_FRAMES, FIRST_LAP_SECONDS, FORWARD_SHARE, MEASURES, SWITCHES, Measure
-from carrl.report.statistics import Estimate
+from carrl.report.measures import (
+    FIRST_LAP_FRAMES,
+    FIRST_LAP_SECONDS,
+    FORWARD_SHARE,
+    MEASURES,
+    SWITCHES,
+    Estimate,
+    Measure,
+)
 
 LABEL_CHARACTERS = 24
 WIDE = 20

@@ -18,11 +18,19 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from carrl.render.colours import BLACK, BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
-from carrl.render.figure import new_figure, plain_axes, save_figure
+from carrl.render.curves import new_figure, plain_axes, save_figure
 from carrl.report.findings import values_of
 from carrl.report.groups import Group
-from carrl.report.measures import FINAL_RETURN, FIRST_LAP_FRAMES, LAP_REWARD, Measure
-from carrl.report.statistics import Band, Floats, iqm_band, share_band
+from carrl.report.measures import (
+    FINAL_RETURN,
+    FIRST_LAP_FRAMES,
+    LAP_REWARD,
+    Band,
+    Floats,
+    Measure,
+    iqm_band,
+    share_band,
+)
 
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 LINES: tuple[tuple[float, tuple[float, ...]], ...] = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (5, 2, 1.5, 2)))

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from carrl.errors import CarrlError
-from carrl.evaluation.results import Drive
+from carrl.evaluation.results import Rollout
 from carrl.files import write_whole
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped
 from carrl.report.groups import Group
-from carrl.report.measures import MEASURES
+from carrl.report.measures import CONFIDENCE, MEASURES, RESAMPLES, SEED, Estimate
 from carrl.report.runs import RunResult
-from carrl.report.statistics import CONFIDENCE, RESAMPLES, SEED, Estimate
 from carrl.report.text import Picture, comma_separated, report_text
 
 RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")
@@ -31,7 +30,7 @@ SMOOTHNESS = Picture(
 )
 
 
-def as_json(findings: Findings, best_lap: Drive | None = None) -> str:
+def as_json(findings: Findings, best_lap: Rollout | None = None) -> str:
     """The report as one JSON document; a figure that does not exist is null."""
     document = {
         "problems": [problem.as_dict() for problem in findings.problems],
@@ -129,7 +128,7 @@ def _number(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def write_report(folder: Path, findings: Findings, best_lap: Drive | None = None) -> None:
+def write_report(folder: Path, findings: Findings, best_lap: Rollout | None = None) -> None:
     """Writes the report into a folder, which is made if need be.
 
     Raises:

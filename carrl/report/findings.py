@@ -7,11 +7,9 @@ from itertools import combinations
 from pathlib import Path
 
 from carrl.errors import ConfigError
-from carrl.report.groups import Group, group_runs
-from carrl.report.measures import MEASURES, Measure
-from carrl.report.problems import Problem, find_problems
+from carrl.report.groups import Group, Problem, find_problems, group_runs
+from carrl.report.measures import MEASURES, Estimate, Measure, holm, improvement, iqm_estimate, least_p, p_value
 from carrl.report.runs import RunResult, find_runs
-from carrl.report.statistics import Estimate, holm, improvement, iqm_estimate, least_p, p_value
 
 MOST_PAIRS = 15
 """Of more groups than make so many pairs, each is compared with the baseline alone."""

@@ -7,20 +7,27 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from carrl.errors import CarrlError
 from carrl.log.scene import TrackShape
+from carrl.render.canvas import Canvas, View
 from carrl.render.colours import BLUE, FAINT, INK, LIGHT, VERMILLION, YELLOW
-from carrl.render.curves import RunCurve, common_bounds, draw_panel, legend_of
-from carrl.render.episode import connected_walls
-from carrl.render.figure import new_figure, plain_axes, save_figure
-from carrl.render.ticks import round_number, span
+from carrl.render.curves import (
+    RunCurve,
+    add_drawing,
+    common_bounds,
+    draw_panel,
+    legend_of,
+    new_figure,
+    plain_axes,
+    round_number,
+    save_figure,
+    span,
+)
+from carrl.render.scene import PRINT, Ground, draw_ground, number_gates
 from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct
 
 HEIGHT = 6.6
@@ -32,7 +39,6 @@ SQUARES, DOTS_PER_SQUARE = 40, 5
 FEW = 5
 """So many crashes in one place are never drawn as many."""
 MOST_GATE_NUMBERS = 16
-ROAD, WALL = "#ebebeb", "#8a8a8a"
 FEW_TO_MANY = LinearSegmentedColormap.from_list("few to many", [YELLOW, VERMILLION, "#3d0c00"])
 
 
@@ -97,13 +103,7 @@ def _draw_actions(axes: Axes, stats: LogStats) -> None:
     axes.barh(rows, shares, color=LIGHT.action_colours(len(shares)), height=0.55)
     for row, share in zip(rows, shares, strict=True):
         axes.annotate(
-            f"{100 * share:.0f} %",
-            (share, row),
-            (4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-            color=INK,
+            f"{100 * share:.0f} %", (share, row), (4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
         )
     axes.set_yticks(rows, stats.scene.action_names)
     axes.invert_yaxis()
@@ -117,7 +117,7 @@ def _draw_actions(axes: Axes, stats: LogStats) -> None:
 
 def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
     """Dots where cars crashed, coloured by how many did so near there."""
-    _draw_track(axes, stats.track)
+    _draw_track(figure, axes, stats.track)
     off = f", {stats.off_the_map:,} off the map" * (stats.off_the_map > 0)
     _title(axes, f"{len(stats.crashes):,} crashes on {stats.track_note}{off}")
     if not len(stats.crash_places):
@@ -140,26 +140,17 @@ def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
     bar.set_label(f"crashes in the same square of {side:g} m", fontsize=7.5, color=INK)
 
 
-def _draw_track(axes: Axes, track: TrackShape) -> None:
+def _draw_track(figure: Figure, axes: Axes, track: TrackShape) -> None:
     """The road, its walls, its numbered gates and the start line."""
+    ground = Ground.of(track)
+    left, bottom, right, top = ground.bounds
+    margin = 0.06 * max(right - left, top - bottom)
+    axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
     axes.set_axis_off()
     axes.set_aspect("equal", anchor="S")
-    walls = connected_walls(track)
-    if len(walls) == 2:
-        rings = [Outline(wall, closed=True) for wall in (walls[0], walls[1][::-1])]
-        axes.add_patch(PathPatch(Outline.make_compound_path(*rings), facecolor=ROAD, edgecolor="none", zorder=1))
-    axes.add_collection(LineCollection(list(track.gates), colors="white", linewidths=1.5, zorder=2))
-    axes.add_collection(LineCollection(list(track.gates[-1:]), colors=INK, linewidths=2, zorder=4))
-    axes.add_collection(LineCollection(walls, colors=WALL, linewidths=0.8, zorder=3))
-    every = round(round_number(max(1.0, len(track.gates) / MOST_GATE_NUMBERS)))
-    for gate in [*range(every - 1, len(track.gates) - 1, every), len(track.gates) - 1]:
-        _label_gate(axes, track, gate)
-    axes.margins(0.04)
 
+    def draw(canvas: Canvas, view: View) -> None:
+        draw_ground(canvas, view, ground, PRINT)
+        number_gates(canvas, view, ground.gates, 7, MOST_GATE_NUMBERS, FAINT)
 
-def _label_gate(axes: Axes, track: TrackShape, gate: int) -> None:
-    """Its number beside its left end; the last gate is the start."""
-    left, right = track.gates[gate]
-    outwards = 9 * (left - right) / max(1e-9, float(np.linalg.norm(left - right)))
-    name = "start" if gate == len(track.gates) - 1 else str(gate + 1)
-    axes.annotate(name, left, outwards, textcoords="offset points", ha="center", va="center", fontsize=7, color=FAINT)
+    add_drawing(figure, axes, draw)

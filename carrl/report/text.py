@@ -7,15 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from carrl.config import check_targets
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, printable
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.results import Drive
-from carrl.printable import printable
+from carrl.evaluation.results import Rollout
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped, written_p
-from carrl.report.measures import MEASURES, Measure
+from carrl.report.measures import CONFIDENCE, MEASURES, RESAMPLES, Estimate, Measure
 from carrl.report.runs import RunResult, missing_lap
-from carrl.report.statistics import CONFIDENCE, RESAMPLES, Estimate
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.train.build import build_world
 
 HEADER = (
@@ -66,7 +64,7 @@ def comma_separated(header: Sequence[str], rows: Sequence[Sequence[object]]) -> 
     return text.getvalue()
 
 
-def runs_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
+def runs_table(runs: list[RunResult], best_lap: Rollout | None = None) -> str:
     """The runs as a table in Markdown, with their distance from the best possible lap if that is given."""
     header, table = [*HEADER], [_row(run) for run in runs]
     if best_lap is not None:
@@ -75,7 +73,7 @@ def runs_table(runs: list[RunResult], best_lap: Drive | None = None) -> str:
     return markdown(header, table)
 
 
-def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = ()) -> Drive:
+def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = ()) -> Rollout:
     """The best possible lap in the world that the runs were trained in, which may have parts of the trusted modules.
 
     Raises:
@@ -129,7 +127,7 @@ def _row(run: RunResult) -> list[str]:
     ]
 
 
-def _beside(run: RunResult, best_lap: Drive) -> list[str]:
+def _beside(run: RunResult, best_lap: Rollout) -> list[str]:
     """The run's figures under `BEST_LAP_HEADER`."""
     own = (run.summary or {}).get("evaluation")
     if own is None:
@@ -153,7 +151,7 @@ class Picture:
     caption: str
 
 
-def report_text(findings: Findings, best_lap: Drive | None = None, pictures: Sequence[Picture] = ()) -> str:
+def report_text(findings: Findings, best_lap: Rollout | None = None, pictures: Sequence[Picture] = ()) -> str:
     """The report: problems and significant differences first, then groups, pictures, comparisons and runs.
 
     Args:
@@ -173,7 +171,7 @@ def report_text(findings: Findings, best_lap: Drive | None = None, pictures: Seq
     return "\n\n".join(parts)
 
 
-def best_lap_sentence(best_lap: Drive) -> str:
+def best_lap_sentence(best_lap: Rollout) -> str:
     """The best possible lap in words."""
     return (
         f"The best possible lap: {best_lap.lap_steps} steps, forward {best_lap.forward_share:.1%}, "

@@ -3,8 +3,8 @@
 They compute what `carrl.sim.geometry` and `carrl.sim.simulator` state in torch; tests compare the two. All is float64
 and rounded to float32 once. How a car moves is the vehicle model's own, `carrl.sim.vehicle`.
 
-Shapes: `B` cars, `R` rays, `S` entries of a vehicle's state, `C` controls; the others are those of `carrl.sim.terrain`.
-Lengths are in metres, angles in radians counter-clockwise from +x.
+Shapes: `B` cars, `R` rays, `S` entries of a vehicle's state, `C` controls; the others are those of
+`carrl.sim.collision_geometry`. Lengths are in metres, angles in radians counter-clockwise from +x.
 """
 
 import math
@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from carrl.sim.machine_code import compiled, inlined
-from carrl.sim.terrain import Terrain
-from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
+from carrl.sim.collision_geometry import CollisionGeometry
+from carrl.sim.vehicle import VehicleModel, as_array, compiled, inlined
 
 # Written out, since Numba's cache sees only changes to this file.
 _TINY = np.finfo(np.float64).tiny
+_Vector = tuple[float, float]
 _LANES = 8
 """Rays are computed so many at a time, which is as many numbers as fit into a register of the widest processors."""
 
@@ -27,22 +27,21 @@ _LANES = 8
 class World(NamedTuple):
     """What stays the same from step to step; the arrays are C-contiguous.
 
-    The first nine are those of `Terrain`.
+    The first nine are those of `CollisionGeometry`.
 
     Attributes:
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
         rays: how many of them count.
         max_range: of the rays, m.
         body_radius: of the disc that must not touch a wall, m; 0 for a rectangle.
-        half_length: of the rectangle that must not, m; 0 for a disc.
-        half_width: likewise.
+        half_length, half_width: of the rectangle that must not, m; 0 for a disc.
         most_gates: how many gates one step can cross at the most.
     """
 
     walls: np.ndarray
     gates: np.ndarray
     first_gate: np.ndarray
-    level_of_gate: np.ndarray
+    deck_of_gate: np.ndarray
     corners: np.ndarray
     shapes: np.ndarray
     list_of_cell: np.ndarray
@@ -61,7 +60,7 @@ class Kernels:
     """The compiled step and sense with the constants of one simulator: tensors in, tensors out, on the CPU.
 
     Args:
-        terrain: walls and gates.
+        geometry: walls and gates.
         ray_angles: counter-clockwise from the heading, [R], rad.
         max_range: of the rays, m.
         vehicle: the car.
@@ -69,12 +68,12 @@ class Kernels:
     """
 
     def __init__(
-        self, terrain: Terrain, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
+        self, geometry: CollisionGeometry, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
     ) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
-        radius, half_length, half_width = _measures_of(vehicle.body)
+        radius, half_length, half_width = vehicle.body.measures
         self._world = World(
-            **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in terrain._asdict().items()},
+            **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in geometry._asdict().items()},
             fan=_fan(ray_angles),
             rays=len(ray_angles),
             max_range=float(max_range),
@@ -91,8 +90,8 @@ class Kernels:
 
     def sense(self, state: Tensor, next_gate: Tensor, track: Tensor) -> Tensor:
         """The distances along the rays: states [B, S], gates [B], tracks [B] to [B, R], float32, m."""
-        counts = [_as_array(count, torch.int64) for count in (next_gate, track)]
-        return torch.from_numpy(_sense(self._world, _as_array(state, torch.float32), *counts))
+        counts = [as_array(count, torch.int64) for count in (next_gate, track)]
+        return torch.from_numpy(_sense(self._world, as_array(state, torch.float32), *counts))
 
     def step(
         self, state: Tensor, control: Tensor, next_gate: Tensor, gates_passed: Tensor, track: Tensor
@@ -103,9 +102,9 @@ class Kernels:
             The state [B, S], next gate [B] and gates passed since the start [B]; then, of this step, the ranges
             [B, R], the collisions [B] and the gates passed [B].
         """
-        before = _as_array(state, torch.float32)
+        before = as_array(state, torch.float32)
         after = self._move(before, control)
-        counts = [_as_array(count, torch.int64) for count in (next_gate, gates_passed, track)]
+        counts = [as_array(count, torch.int64) for count in (next_gate, gates_passed, track)]
         return tuple(map(torch.from_numpy, (after, *_follow(self._world, before, after, *counts))))
 
     def _move(self, state: np.ndarray, control: Tensor) -> np.ndarray:
@@ -113,18 +112,8 @@ class Kernels:
         if len(control) != len(state):
             raise ValueError("state and control must be of the same number of cars")
         if self._vehicle.kernel is None:
-            return _as_array(self._vehicle.step(torch.from_numpy(state), control), torch.float32)
-        return self._vehicle.kernel(state, _as_array(control, torch.float32), self._constants)
-
-
-def _measures_of(body: Disc | Rectangle) -> tuple[float, float, float]:
-    """The body's radius, half its length and half its width as `World` has them, m."""
-    return (float(body.radius), 0.0, 0.0) if isinstance(body, Disc) else (0.0, body.length / 2, body.width / 2)
-
-
-def _as_array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
-    """The tensor's own memory; a copy of one of another type or layout, for which Numba would compile anew."""
-    return (tensor if tensor.dtype is dtype else tensor.to(dtype)).contiguous().numpy()
+            return as_array(self._vehicle.step(torch.from_numpy(state), control), torch.float32)
+        return self._vehicle.kernel(state, as_array(control, torch.float32), self._constants)
 
 
 def _fan(angles: Tensor) -> np.ndarray:
@@ -145,7 +134,7 @@ def _sense(world: World, state: np.ndarray, next_gate: np.ndarray, track: np.nda
     for car in range(cars):
         _check_place(world, track[car], next_gate[car])
         x, y, heading = np.float64(state[car, 0]), np.float64(state[car, 1]), np.float64(state[car, 2])
-        begin, _, end = _walls_near(world, x, y, _level(world, track[car], next_gate[car]))
+        begin, _, end = _walls_near(world, x, y, _deck(world, track[car], next_gate[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
     return ranges
 
@@ -173,22 +162,21 @@ def _follow(
         begin_x, begin_y = np.float64(before[car, 0]), np.float64(before[car, 1])
         x, y, heading = np.float64(after[car, 0]), np.float64(after[car, 1]), np.float64(after[car, 2])
         path_x, path_y = x - begin_x, y - begin_y
-        level = _level(world, track[car], next_gate[car])
-        begin, touching, end = _walls_near(world, x, y, level)
+        deck = _deck(world, track[car], next_gate[car])
+        begin, touching, end = _walls_near(world, x, y, deck)
         # What is no number fails every comparison: such a car would drive on for ever.
-        if not math.isfinite(x + y):
-            hit = True
-        elif world.half_length > 0:
-            hit = _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        hit = not math.isfinite(x + y)
+        if world.half_length > 0:
+            hit = hit or _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
         else:
-            hit = _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+            hit = hit or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
         collided[car], passed[car], following[car] = hit, crossed, (next_gate[car] + crossed) % len(gates)
         since_start[car] = gates_passed[car] + crossed
-        if _level(world, track[car], following[car]) != level:
-            begin, _, end = _walls_near(world, x, y, _level(world, track[car], following[car]))
+        if _deck(world, track[car], following[car]) != deck:
+            begin, _, end = _walls_near(world, x, y, _deck(world, track[car], following[car]))
         _cast(world, begin, end, x, y, heading, work, ranges[car])
     return following, since_start, ranges, collided, passed
 
@@ -203,20 +191,20 @@ def _check_place(world: World, track: int, next_gate: int) -> None:
 
 
 @inlined
-def _level(world: World, track: int, next_gate: int) -> int:
-    """The level that a car is on."""
-    return world.level_of_gate[world.first_gate[track] + next_gate]
+def _deck(world: World, track: int, next_gate: int) -> int:
+    """The deck that a car is on."""
+    return world.deck_of_gate[world.first_gate[track] + next_gate]
 
 
 @inlined
-def _walls_near(world: World, x: float, y: float, level: int) -> tuple[int, int, int]:
+def _walls_near(world: World, x: float, y: float, deck: int) -> tuple[int, int, int]:
     """Where in `entries` the walls near a point begin, where those within touch end, and where all end."""
     corners, shapes = world.corners, world.shapes
-    size = corners[level, 2]
-    column, row = math.floor((x - corners[level, 0]) / size), math.floor((y - corners[level, 1]) / size)
+    size = corners[deck, 2]
+    column, row = math.floor((x - corners[deck, 0]) / size), math.floor((y - corners[deck, 1]) / size)
     number = 0
-    if 0 <= column < shapes[level, 0] and 0 <= row < shapes[level, 1]:
-        number = world.list_of_cell[shapes[level, 2] + row * shapes[level, 0] + column]
+    if 0 <= column < shapes[deck, 0] and 0 <= row < shapes[deck, 1]:
+        number = world.list_of_cell[shapes[deck, 2] + row * shapes[deck, 0] + column]
     return world.lists[number, 0], world.lists[number, 1], world.lists[number, 2]
 
 
@@ -253,39 +241,29 @@ def _rectangle_touches(
 ) -> bool:
     """Whether the rectangle touches a wall of these entries on its straight way: see `geometry.rectangle_touches`."""
     cos, sin = math.cos(heading), math.sin(heading)
-    way_x, way_y = cos * path_x + sin * path_y, cos * path_y - sin * path_x  # in the frame of the rectangle
+    way = cos * path_x + sin * path_y, cos * path_y - sin * path_x  # in the frame of the rectangle
     for entry in range(begin, end):
         first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
         first_x, first_y, last_x, last_y = first_x - begin_x, first_y - begin_y, last_x - begin_x, last_y - begin_y
-        first_x, first_y = cos * first_x + sin * first_y, cos * first_y - sin * first_x
-        last_x, last_y = cos * last_x + sin * last_y, cos * last_y - sin * last_x
+        first = cos * first_x + sin * first_y, cos * first_y - sin * first_x
+        last = cos * last_x + sin * last_y, cos * last_y - sin * last_x
         if not (
-            _separates(world, 1.0, 0.0, first_x, first_y, last_x, last_y, way_x, way_y)
-            or _separates(world, 0.0, 1.0, first_x, first_y, last_x, last_y, way_x, way_y)
-            or _separates(world, first_y - last_y, last_x - first_x, first_x, first_y, last_x, last_y, way_x, way_y)
-            or _separates(world, -way_y, way_x, first_x, first_y, last_x, last_y, way_x, way_y)
+            _separates(world, (1.0, 0.0), first, last, way)
+            or _separates(world, (0.0, 1.0), first, last, way)
+            or _separates(world, (first[1] - last[1], last[0] - first[0]), first, last, way)
+            or _separates(world, (-way[1], way[0]), first, last, way)
         ):
             return True
     return False
 
 
 @inlined
-def _separates(
-    world: World,
-    axis_x: float,
-    axis_y: float,
-    first_x: float,
-    first_y: float,
-    last_x: float,
-    last_y: float,
-    way_x: float,
-    way_y: float,
-) -> bool:
+def _separates(world: World, axis: _Vector, first: _Vector, last: _Vector, way: _Vector) -> bool:
     """Whether the rectangle about the origin and the wall moved back along the way lie apart along an axis."""
-    reach = world.half_length * abs(axis_x) + world.half_width * abs(axis_y)
-    first, last = axis_x * first_x + axis_y * first_y, axis_x * last_x + axis_y * last_y
-    way = axis_x * way_x + axis_y * way_y
-    low, high = min(first, last) - max(way, 0.0), max(first, last) - min(way, 0.0)
+    reach = world.half_length * abs(axis[0]) + world.half_width * abs(axis[1])
+    begin, end = axis[0] * first[0] + axis[1] * first[1], axis[0] * last[0] + axis[1] * last[1]
+    along = axis[0] * way[0] + axis[1] * way[1]
+    low, high = min(begin, end) - max(along, 0.0), max(begin, end) - min(along, 0.0)
     return reach > 0 and (low >= reach or high <= -reach)
 
 

@@ -15,11 +15,11 @@ from torch import Tensor
 
 from carrl.errors import ConfigError
 from carrl.rows import Rows
+from carrl.sim.collision_geometry import CollisionGeometry, TrackLayout
 from carrl.sim.geometry import cross, path_clearance, ray_distances, rectangle_touches
 from carrl.sim.sensor import Sensor
-from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.vehicle import Disc, VehicleModel
-from carrl.tracks.routes import Routes
+from carrl.tracks.centreline import Routes
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
@@ -108,12 +108,12 @@ class Simulator:
         self.vehicle, self.sensor = vehicle, sensor
         touch = vehicle.step_length + vehicle.body.reach
         reach = max(sensor.max_range, touch)
-        terrain = Terrain.join([Plot.of_track(each, reach) for each in self.tracks], reach, touch)
-        self.terrain = Terrain(*(tensor.to(device) for tensor in terrain))
+        geometry = CollisionGeometry.join([TrackLayout.of_track(each, reach) for each in self.tracks], reach, touch)
+        self.geometry = CollisionGeometry(*(tensor.to(device) for tensor in geometry))
         self.routes = Routes([each.road for each in self.tracks], [each.gate_count for each in self.tracks])
-        self.gate_counts = self.terrain.first_gate.diff()
+        self.gate_counts = self.geometry.first_gate.diff()
         self.sensor_angles = sensor.angles.to(device)
-        self._most_walls = terrain.longest_list
+        self._most_walls = geometry.longest_list
         self._most_gates_per_step = max(_most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
 
@@ -137,7 +137,7 @@ class Simulator:
     @property
     def device(self) -> torch.device:
         """Where the tensors live."""
-        return self.terrain.walls.device
+        return self.geometry.walls.device
 
     @property
     def lap_steps(self) -> int:
@@ -216,7 +216,7 @@ class Simulator:
 
     def gate_distance(self, cars: CarState) -> Tensor:
         """How far each car is from the middle of the gate that counts next, in a straight line, [B], float32, m."""
-        gate = self.terrain.gates[self.terrain.first_gate[cars.track] + cars.next_gate].unflatten(-1, (2, 2))
+        gate = self.geometry.gates[self.geometry.first_gate[cars.track] + cars.next_gate].unflatten(-1, (2, 2))
         return torch.linalg.vector_norm(gate.mean(dim=1) - cars.state[:, :2], dim=-1)
 
     def progress(self, cars: CarState, start_stations: Tensor) -> Tensor:
@@ -239,7 +239,7 @@ class Simulator:
         from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.
 
         most_gates = self._most_gates_per_step
-        return Kernels(self.terrain, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
+        return Kernels(self.geometry, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
 
     def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
         """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""
@@ -250,15 +250,15 @@ class Simulator:
         return shift[:, None] * torch.stack([-heading.sin(), heading.cos()], dim=-1)
 
     def _walls_near(self, cars: CarState) -> Tensor:
-        level = self.terrain.level(cars.track, cars.next_gate)
-        return self.terrain.walls_near(cars.state[:, :2], level, self._most_walls)
+        deck = self.geometry.deck(cars.track, cars.next_gate)
+        return self.geometry.walls_near(cars.state[:, :2], deck, self._most_walls)
 
     def _count_gates(self, begin: Tensor, end: Tensor, cars: CarState) -> Tensor:
         """Gates crossed forward and in order on the straight ways begin-end, [B], int64."""
-        first, count = self.terrain.first_gate[cars.track], self.gate_counts[cars.track]
+        first, count = self.geometry.first_gate[cars.track], self.gate_counts[cars.track]
         passed = torch.zeros_like(cars.next_gate)
         for _ in range(self._most_gates_per_step):
-            gate = self.terrain.gates[first + (cars.next_gate + passed) % count].unflatten(-1, (2, 2))
+            gate = self.geometry.gates[first + (cars.next_gate + passed) % count].unflatten(-1, (2, 2))
             passed = passed + _crosses_forward(begin, end, gate)
         return passed
 

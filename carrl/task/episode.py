@@ -1,18 +1,110 @@
-"""What the terms of a task are functions of: an episode at one moment, and one step from a moment to the next.
+"""Episodes: where they start, their state at one moment, and one step from a moment to the next.
 
-Shapes: `N` cars, `S` entries of a vehicle's state, `C` controls, `R` rays.
+Terms of a task are functions of these.
+
+Shapes: `N` cars, of which `K` are wanted; `S` entries of a vehicle's state, `C` controls, `R` rays.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.task.action import ActionMap
+from carrl.task.checks import flag, number
 from carrl.task.random_streams import RandomStreams
+from carrl.tracks.track import Track
+
+
+@dataclass(frozen=True)
+class Start:
+    """On the start line or somewhere else, on which of the tracks, and which way round.
+
+    Attributes:
+        anywhere: start anywhere along the centreline instead of on the start line.
+        offset: how far beside the centreline, at most, as a share of the room there, 0..1.
+        heading_jitter: how far the first heading may deviate from the driving direction, degrees.
+        sample_track: draw each car's track anew for each episode.
+        mirrored: drive every other episode, by chance, on the mirror image of the track.
+        reversed: drive every other episode, by chance, the other way round.
+    """
+
+    anywhere: bool = False
+    offset: float = 0.0
+    heading_jitter: float = 0.0
+    sample_track: bool = False
+    mirrored: bool = False
+    reversed: bool = False
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a value out of its range."""
+        number("start.offset", self.offset, 0, 1, "a share between 0 and 1")
+        number("start.heading_jitter", self.heading_jitter, 0, 180, "between 0 and 180 degrees")
+        for name in ("anywhere", "sample_track", "mirrored", "reversed"):
+            flag(f"start.{name}", getattr(self, name))
+
+    def variants(self, tracks: Sequence[Track]) -> list[Track]:
+        """The tracks [T], each followed by what else it may be driven as."""
+        return [variant for track in tracks for variant in self._variants(track)]
+
+    def _variants(self, track: Track) -> list[Track]:
+        variants = [track, track.mirrored()] if self.mirrored else [track]
+        return variants + [each.reversed() for each in variants] if self.reversed else variants
+
+
+class StartSampler:
+    """Draws starts on the tracks of a simulator.
+
+    Args:
+        start: what to draw.
+        simulator: whose tracks are `start.variants` of some tracks.
+        cars: how many, N, of each of so many seeds.
+        seeds: how many.
+    """
+
+    def __init__(self, start: Start, simulator: Simulator, cars: int, seeds: int) -> None:
+        self._start, self._simulator = start, simulator
+        self._variants = (1 + start.mirrored) * (1 + start.reversed)
+        self._bases = len(simulator.tracks) // self._variants
+        self._samples_track = start.sample_track and self._bases > 1
+        self._own_base = (torch.arange(cars) % self._bases).repeat(seeds)
+
+    @property
+    def is_always_the_same(self) -> bool:
+        """Whether every episode of a car starts in the same place."""
+        start = self._start
+        by_chance = start.anywhere or start.offset or start.heading_jitter
+        return not (by_chance or self._samples_track or self._variants > 1)
+
+    def __call__(self, streams: RandomStreams, wanted: Tensor) -> CarState:
+        """Starts for the `wanted` cars, [N] bool with K of them true, drawn from their own streams: [K]."""
+        start, everyone = self._start, len(wanted)
+        place = streams.uniform(wanted=wanted) if start.anywhere else torch.zeros(everyone).double()
+        track = self._draw_tracks(streams, wanted)
+        return self._simulator.start(
+            stations=(place * self._simulator.routes.lengths[track])[wanted],
+            track=track[wanted],
+            offset=_draw_within(start.offset, streams, wanted),
+            heading=_draw_within(math.radians(start.heading_jitter), streams, wanted),
+        )
+
+    def _draw_tracks(self, streams: RandomStreams, wanted: Tensor) -> Tensor:
+        """Which track each car drives on, [N]."""
+        base = (streams.uniform(wanted=wanted) * self._bases).long() if self._samples_track else self._own_base
+        if self._variants == 1:
+            return base
+        return base * self._variants + (streams.uniform(wanted=wanted) * self._variants).long()
+
+
+def _draw_within(most: float, streams: RandomStreams, wanted: Tensor) -> Tensor | None:
+    """Numbers between -most and most, [K]."""
+    return most * (2 * streams.uniform(wanted=wanted)[wanted] - 1) if most else None
 
 
 @dataclass(frozen=True)
@@ -31,7 +123,7 @@ class EpisodeState(Rows):
 
 
 @dataclass(frozen=True)
-class Moment:
+class ObservationContext:
     """What an observation is made of.
 
     Attributes:

@@ -13,7 +13,7 @@ from torch import Tensor
 from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
 from carrl.task.action import ActionMap
-from carrl.task.episode import Moment
+from carrl.task.episode import ObservationContext
 
 
 class Part(NamedTuple):
@@ -38,7 +38,7 @@ class ObservationTerm(Protocol):
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
         """How many values it has and how large they may be; `name` is what the configuration calls it."""
 
-    def __call__(self, moment: Moment) -> Tensor:
+    def __call__(self, context: ObservationContext) -> Tensor:
         """The values, [N, width], float32."""
 
 
@@ -50,9 +50,9 @@ class Rays:
         """One value a ray."""
         return Part(name, sensor.rays, 0.0, 1.0)
 
-    def __call__(self, moment: Moment) -> Tensor:
+    def __call__(self, context: ObservationContext) -> Tensor:
         """With the sensor's noise and dropout, drawn from the cars' own streams; an exact one draws nothing."""
-        sensor, ranges, streams, wanted = moment.simulator.sensor, moment.ranges, moment.streams, moment.wanted
+        sensor, ranges, streams, wanted = context.simulator.sensor, context.ranges, context.streams, context.wanted
         if sensor.is_exact:
             return sensor.readings(ranges)
         draws = streams.normal(sensor.rays, wanted=wanted), streams.uniform(sensor.rays, wanted=wanted)
@@ -68,9 +68,9 @@ class LastAction:
         """As many values as the action map encodes."""
         return Part(name, action.features, 0.0 if action.first.dtype == torch.int64 else -1.0, 1.0)
 
-    def __call__(self, moment: Moment) -> Tensor:
+    def __call__(self, context: ObservationContext) -> Tensor:
         """As the action map encodes it."""
-        return moment.action.encode(moment.state.last_action)
+        return context.action.encode(context.state.last_action)
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ class Observation:
         """Where each term stands."""
         return tuple(term.part(name, sensor, action) for name, term in self.terms.items())
 
-    def __call__(self, moment: Moment) -> Tensor:
+    def __call__(self, context: ObservationContext) -> Tensor:
         """The observations, [N, O], float32."""
-        values = [term(moment) for term in self.terms.values()]
+        values = [term(context) for term in self.terms.values()]
         return values[0] if len(values) == 1 else torch.cat(values, dim=-1)
 
 

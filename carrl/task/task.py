@@ -20,11 +20,11 @@ from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.vehicle import Vehicle, VehicleModel
 from carrl.task.action import ActionMap, check_fits, steer3
 from carrl.task.checks import instance, whole_number
-from carrl.task.episode import EpisodeState, Moment, StepContext
+from carrl.task.episode import EpisodeState, ObservationContext, Start, StartSampler, StepContext
 from carrl.task.observation import Observation, Part, rays_only
 from carrl.task.random_streams import RandomStreams
 from carrl.task.reward import Reward, paper_reward
-from carrl.task.start import Start, StartSampler
+from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 
 Tracks = Track | str | Path | Sequence[Track | str | Path]
@@ -34,10 +34,12 @@ MOST_READINGS = 2**26
 """Of all cars together at one moment: 256 MiB."""
 UNLIMITED = 2**62
 """As `max_steps`: episodes are not truncated."""
+SENSOR_SEED = 0
+"""Of what a noisy sensor reads in an evaluation, so that the same policy drives the same way again."""
 
 
 @dataclass(frozen=True)
-class Begun(Rows):
+class EpisodeStart(Rows):
     """Episodes at their start.
 
     Attributes:
@@ -131,7 +133,7 @@ class Task:
         """Whether every episode of a car starts in the same way."""
         return self._sampler.is_always_the_same and self.simulator.sensor.is_exact
 
-    def start(self, wanted: Tensor | None = None) -> Begun:
+    def start(self, wanted: Tensor | None = None) -> EpisodeStart:
         """New episodes of the `wanted` cars, [N] bool with K of them true; of all by default.
 
         Returns:
@@ -140,12 +142,12 @@ class Task:
         wanted = torch.ones(self.cars, dtype=torch.bool) if wanted is None else wanted.cpu()
         return self.start_at(self._sampler(self.streams, wanted), wanted)
 
-    def start_at(self, cars: CarState, wanted: Tensor | None = None) -> Begun:
+    def start_at(self, cars: CarState, wanted: Tensor | None = None) -> EpisodeStart:
         """New episodes of cars that are here, [K], which are the `wanted` ones of all [N]; of all by default."""
         first = self.action.first.to(self.simulator.device)
         step = torch.zeros_like(cars.next_gate)
         state = EpisodeState(cars, step, first.expand(len(step), *first.shape).clone())
-        return Begun(state, self._observe(state, self.simulator.sense(cars), wanted))
+        return EpisodeStart(state, self._observe(state, self.simulator.sense(cars), wanted))
 
     def step(self, state: EpisodeState, action: Tensor) -> StepResult:
         """Drives every car by one time step: actions [N] or [N, C], within the action map's spec.
@@ -173,7 +175,7 @@ class Task:
         return (spec.low + (spec.high - spec.low) * drawn).float()
 
     def _observe(self, state: EpisodeState, ranges: Tensor, wanted: Tensor | None = None) -> Tensor:
-        return self.observation(Moment(state, ranges, self.simulator, self.action, self.streams, wanted))
+        return self.observation(ObservationContext(state, ranges, self.simulator, self.action, self.streams, wanted))
 
 
 def make_task(
@@ -222,3 +224,48 @@ def _listed(track: Tracks) -> Sequence[Track | str | Path]:
                 f"track is {shown(each)}; it must be a Track, a built-in track's name or a file, or a list"
             )
     return listed
+
+
+@dataclass(frozen=True)
+class World:
+    """The parts that make tasks alike, wherever they are driven.
+
+    Attributes:
+        circuits: to learn on, and to try networks out on.
+        vehicle: the car.
+        sensor: its rays.
+        action: what an agent chooses among.
+        observation: what it is told.
+        reward: what a step earns.
+    """
+
+    circuits: Circuits
+    vehicle: VehicleModel
+    sensor: Sensor
+    action: ActionMap
+    observation: Observation
+    reward: Reward
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError unless the actions fit the vehicle."""
+        check_fits(self.action, self.vehicle)
+
+    @property
+    def track(self) -> Track:
+        """The first track to learn on: the only one, if there is one."""
+        return self.circuits.training[0]
+
+    @property
+    def observation_size(self) -> int:
+        """Values of an observation."""
+        return sum(part.width for part in self.observation.parts(self.sensor, self.action))
+
+    def simulator(self, tracks: Track | Sequence[Track], device: torch.device | str = "cpu") -> Simulator:
+        """The car and its rays on these tracks."""
+        return Simulator(tracks, self.vehicle, self.sensor, device)
+
+    def evaluation_task(self, simulator: Simulator, cars: int) -> Task:
+        """Episodes of so many cars, without a limit of steps."""
+        return Task(
+            simulator, cars, [SENSOR_SEED], action=self.action, observation=self.observation, reward=self.reward
+        )

@@ -15,6 +15,7 @@ from shapely import LinearRing, distance, points
 from torch import Tensor
 
 from carrl.errors import TrackError, shown
+from carrl.tracks.bridges import cut_folds
 from carrl.tracks.centreline import (
     MAX_COORDINATE,
     MIN_POINTS,
@@ -26,7 +27,6 @@ from carrl.tracks.centreline import (
     turns,
     without_repeats,
 )
-from carrl.tracks.crossings import cut_folds
 from carrl.tracks.rings import arc_lengths, cast, resampled, signed_area
 
 if TYPE_CHECKING:
@@ -38,8 +38,11 @@ _EXACT = 1e-3
 """Walls that the offset centreline meets this closely, m, need no other points."""
 _STEPS_ACROSS = 40
 """Points of a centreline in the width of the road, where its walls do not stand square to it."""
-_SMOOTHING = 0.1
-"""Over how much of the road's width such a centreline is smoothed."""
+_WAYS = ((0.1, 2.0), (0.3, 2.0), (0.3, 6.0))
+"""Over how much of the road's width a centreline is smoothed, and how far its walls are looked for; all are tried until
+one is close, for what draws one hairpin well spoils another."""
+_CLOSE = 0.02
+"""How close that is, in widths of the road."""
 _MOST_POINTS = 5000
 _SAMPLES = 4000
 
@@ -120,30 +123,47 @@ def as_centreline(track: "Track") -> Centreline:
     turn = np.abs(turns(middle))
     mitre = np.where((turn > MITRED[0]) & (turn < MITRED[1]), np.cos(turn / 2), 1)
     widths = ((mitre * np.linalg.norm(side - middle, axis=1)).clip(MIN_STEP) for side in (right, left))
-    simple = Centreline(middle, *widths)
-    walls = [cut_folds(wall, middle) for wall in simple.walls()]
-    if max(map(_apart, walls, (left, right))) < _EXACT:
-        return simple
+    best = Centreline(middle, *widths)
+    least = _off(best, left, right)
     across = float(np.median(np.linalg.norm(left - right, axis=1)))
     step = max(across / _STEPS_ACROSS, arc_lengths(middle)[-1] / _MOST_POINTS, 2 * MIN_STEP)
-    # Smooth, so that its normals sweep the outside of each corner.
-    middle = ndimage.gaussian_filter1d(resampled(middle, step), across * _SMOOTHING / step, axis=0, mode="wrap")
-    to_left, to_right = _cast_widths(middle, left, right)
-    return Centreline(middle, to_right, to_left)
+    even = resampled(middle, step)
+    for smoothing, reach in _WAYS:
+        if least < _EXACT or (best.points is not middle and least < _CLOSE * across):
+            break
+        # Smooth, so that its normals sweep the outside of each corner.
+        line = ndimage.gaussian_filter1d(even, smoothing * across / step, axis=0, mode="wrap")
+        to_left, to_right = (_widths(line, sign, wall, reach) for sign, wall in ((1, left), (-1, right)))
+        candidate = Centreline(line, to_right, to_left)
+        off = _off(candidate, left, right)
+        if off < least:
+            best, least = candidate, off
+    return best
 
 
-def _cast_widths(middle: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far the left and the right wall are from the middle [P, 2], square to it, [P] each, m."""
-    square, index = normals(middle), np.arange(len(middle))
-    widths = []
-    for wall, sign in ((left, 1), (right, -1)):
-        nearest = KDTree(resampled(wall, arc_lengths(middle)[1])).query(middle)[0]
-        reach = 2 * nearest + MIN_STEP
-        share = cast(middle, sign * square * reach[:, None], wall)[0]
-        found = np.flatnonzero(np.isfinite(share))
-        width = share * reach if len(found) == 0 else np.interp(index, found, (share * reach)[found], period=len(index))
-        widths.append(np.where(np.isfinite(width), width, nearest).clip(MIN_STEP))
-    return widths[0], widths[1]
+def _off(line: Centreline, left: np.ndarray, right: np.ndarray) -> float:
+    """How far the walls beside a centreline are from others, [P, 2] each, m."""
+    return max(
+        _apart(cut_folds(wall, line.points), true) for wall, true in zip(line.walls(), (left, right), strict=True)
+    )
+
+
+def _widths(middle: np.ndarray, sign: int, wall: np.ndarray, reach: float) -> np.ndarray:
+    """How far a wall is from the middle [P, 2], square to it, [P], m.
+
+    Args:
+        middle: [P, 2], m.
+        sign: 1 for the wall on the left, -1 for that on the right.
+        wall: [N, 2], m.
+        reach: how far to look for it, in distances of its nearest point; between other places if it is not there.
+    """
+    nearest, index = KDTree(resampled(wall, arc_lengths(middle)[1])).query(middle)[0], np.arange(len(middle))
+    length = reach * nearest + MIN_STEP
+    share = cast(middle, sign * normals(middle) * length[:, None], wall)[0]
+    found = np.flatnonzero(np.isfinite(share))
+    if len(found) == 0:
+        return np.asarray(nearest.clip(MIN_STEP))
+    return np.interp(index, found, (share * length)[found], period=len(index)).clip(MIN_STEP)
 
 
 def walls_apart(one: "Track", other: "Track") -> float:

@@ -10,7 +10,7 @@ from carrl.errors import TrackError
 from carrl.files import write_whole
 from carrl.tracks import geojson, ros_map, waypoint_file
 from carrl.tracks.adjust import as_centreline, walls_apart
-from carrl.tracks.crossings import cut_folds
+from carrl.tracks.bridges import cut_folds
 from carrl.tracks.csv_file import write_csv
 from carrl.tracks.track import Track
 

@@ -14,12 +14,12 @@ from scipy.spatial import KDTree, Voronoi
 from shapely import Polygon
 
 from carrl.tracks.centreline import normals
-from carrl.tracks.drawing import smooth_curve
+from carrl.tracks.drawing_file import smooth_curve
 from carrl.tracks.rings import CorridorError, arc_lengths, cast, point_at, resampled, signed_area, trace
 
 MOST_POINTS = 40_000
 """Of the centreline, about as many pixels."""
-MOST_ISLANDS = 128
+MOST_ISLANDS, MOST_PIECES = 128, 200_000
 _MOST_SITES = 100_000
 _SIDE_ARM = 4.0
 """A place this many half widths of the road from its middle lies in a side arm."""
@@ -95,18 +95,19 @@ def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarr
         CorridorError: as `find_corridor` does.
     """
     labels, count = ndimage.label(free)
+    if count > MOST_PIECES:
+        raise CorridorError(f"its free space is in {count:,} pieces; clean the picture of specks")
     sizes = np.zeros(count + 1, dtype=np.int64)
     for block in np.array_split(labels, _BLOCKS):
         sizes += np.bincount(block.ravel(), minlength=count + 1)
     sizes[0] = 0
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     sizes[rim] = 0
-    places = ndimage.find_objects(labels)
     loops: list[tuple[int, list[np.ndarray]]] = []
     for label in np.argsort(-sizes)[:8]:
         if sizes[label] < max(8, _ORNAMENT * max((size for size, _ in loops), default=0)):
             break
-        rows, columns = places[label - 1]
+        rows, columns = _bounds(labels, int(label))
         part = np.pad(labels[rows, columns] == label, 1)
         shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
         rings = trace(part, shades)
@@ -140,6 +141,14 @@ def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarr
             place,
         )
     return rings[0], rings[around[0]], islands
+
+
+def _bounds(labels: np.ndarray, label: int) -> tuple[slice, slice]:
+    """The rows and columns in which a piece of free space lies."""
+    rows = np.flatnonzero([(row == label).any() for row in labels])
+    low, high = int(rows[0]), int(rows[-1]) + 1
+    columns = np.flatnonzero((labels[low:high] == label).any(axis=0))
+    return slice(low, high), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _loops_of(rings: list[np.ndarray]) -> list[int]:

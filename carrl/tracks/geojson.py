@@ -21,7 +21,7 @@ from carrl.tracks.centreline import (
     Road,
     without_repeats,
 )
-from carrl.tracks.drawing import smooth_curve
+from carrl.tracks.drawing_file import smooth_curve
 
 MAX_JSON_BYTES = 4 * 2**20
 """The 40 circuits of bacinger/f1-circuits have 0.13 MiB."""

@@ -11,9 +11,8 @@ import numpy as np
 import shapely
 from torch import Tensor
 
-from carrl.tracks.bridges import Bridge, on_two_levels
+from carrl.tracks.bridges import Bridge, count_folds, find_crossings, on_two_decks
 from carrl.tracks.centreline import gap_of, normals, segment_normals, turns
-from carrl.tracks.crossings import count_folds, find_crossings
 
 BODY_RADIUS = 0.5
 """Of the car that must fit through, m; that of the default vehicle."""
@@ -206,7 +205,7 @@ class _Lines:
         return self._on_one_level(self._gate_stations[one], self._gate_stations[other])
 
     def _on_one_level(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        apart = on_two_levels(self._track.bridges, self._track.length, one, other)
+        apart = on_two_decks(self._track.bridges, self._track.length, one, other)
         return np.stack([one[~apart], other[~apart]], axis=1)
 
 

@@ -3,6 +3,7 @@
 Shapes: `P` points of a line.
 """
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,7 +70,7 @@ def reference_beside(path: Path) -> tuple[np.ndarray | None, list[str]]:
     candidates = [path.with_name(f"{name}_raceline.csv")]
     if path.parent.name == "tracks":
         candidates.append(path.parent.parent / "racelines" / f"{path.stem}.csv")
-    beside = next((each for each in candidates if each.is_file()), None)
+    beside = next((each for each in candidates if os.path.isfile(each)), None)
     if beside is None:
         return None, []
     line = _read(beside, LINE)

@@ -13,7 +13,7 @@ from shapely import STRtree
 
 from carrl.errors import TrackError
 
-MOST_EDGES = 1_000_000
+MOST_EDGES = 300_000
 """Between the free pixels of a corridor and others."""
 SMOOTHING = 0.5
 """How far a ring's points may be moved from the edges between pixels in order to be smooth, pixels."""
@@ -68,13 +68,13 @@ def _edges(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inner, parts = free[1:-1, 1:-1], []
     beside = {_EAST: free[:-2, 1:-1], _NORTH: free[1:-1, 2:], _WEST: free[2:, 1:-1], _SOUTH: free[1:-1, :-2]}
     corner = {_EAST: (0, 0), _NORTH: (1, 0), _WEST: (1, 1), _SOUTH: (0, 1)}
+    if sum(np.count_nonzero(inner & ~other) for other in beside.values()) > MOST_EDGES:
+        raise CorridorError(f"its free space has more than {MOST_EDGES:,} edges; clean the picture of specks")
     for way, other in beside.items():
         row, column = np.nonzero(inner & ~other)
         begin = np.stack([column, row], axis=1) + 1 + np.array(corner[way])
         parts.append((begin, np.full(len(begin), way)))
     begin, ways = (np.concatenate(each) for each in zip(*parts, strict=True))
-    if len(begin) > MOST_EDGES:
-        raise CorridorError(f"its free space has more than {MOST_EDGES:,} edges; clean the picture of specks")
     return begin, ways
 
 

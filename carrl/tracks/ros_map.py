@@ -5,6 +5,7 @@ Shapes: `H`, `W` rows and columns of the picture; `P` points of the centreline.
 
 import io
 import math
+import os
 import struct
 import warnings
 import zlib
@@ -19,7 +20,7 @@ from carrl.errors import TrackError, shown
 from carrl.files import read_whole, write_whole
 from carrl.plain_yaml import parse_yaml
 from carrl.tracks.adjust import as_centreline
-from carrl.tracks.centreline import MAX_COORDINATE, Road, without_repeats
+from carrl.tracks.centreline import MAX_COORDINATE, MIN_POINTS, Road, without_repeats
 from carrl.tracks.corridor import find_corridor
 from carrl.tracks.csv_file import read_csv, write_csv
 from carrl.tracks.raceline import reference_beside, without_closing
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 """What nav2's map server requires; beside them may stand `mode`, and what other tools put there."""
 MAX_YAML_BYTES = 2**18
-LEAST_PIXELS, MOST_PIXELS = 9, 2**25
-MOST_IMAGE_BYTES = 2**26
+LEAST_PIXELS, MOST_PIXELS = 9, 2**24
+MOST_IMAGE_BYTES = 2**25
 TOLERANCE = 0.25
 """How far walls and centreline may be from the edges found in the picture after points are left out, pixels."""
 _FORMATS = ("PNG", "PPM", "BMP")
@@ -110,8 +111,11 @@ def read(path: Path) -> Road:
     lines = _from_start(lines, middle)
     lines = lines[thinned(lines, TOLERANCE * map_file.resolution)]
     table, _ = without_repeats(lines.reshape(-1, 6))
-    if not (np.abs(table) <= MAX_COORDINATE).all():
-        raise TrackError(f"track '{path.name}': its road lies further than {MAX_COORDINATE:.0f} m from the origin")
+    if len(table) < MIN_POINTS or not (np.abs(table) <= MAX_COORDINATE).all():
+        raise TrackError(
+            f"track '{path.name}': its road is a point, or lies further than {MAX_COORDINATE:.0f} m from the origin; "
+            "correct resolution and origin"
+        )
     origin = f"centreline, start and direction from {beside.name}" if beside else "the middle of the free space"
     islands = (f"{corridor.islands} islands in the road, each joined to the wall nearer to it",)
     reference, found = reference_beside(path)
@@ -143,7 +147,7 @@ def _from_start(lines: np.ndarray, middle: np.ndarray | None) -> np.ndarray:
 def _centreline_beside(path: Path) -> Path | None:
     stems = (path.stem, path.stem.removesuffix("_map"))
     candidates = (path.with_name(f"{stem}_{word}.csv") for stem in stems for word in ("centerline", "centreline"))
-    return next((each for each in candidates if each.is_file()), None)
+    return next((each for each in candidates if os.path.isfile(each)), None)
 
 
 def read_map_file(path: Path) -> MapFile:
@@ -189,8 +193,8 @@ def _number(name: str, key: str, value: Any, low: float = -MAX_COORDINATE, high:
 
 def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray | None]:
     """Which pixels are free, row 0 at the bottom, [H, W], and how occupied where edges are drawn softly, 0 to 255."""
-    name = f"track '{path.name}': the picture '{map_file.image.name}'"
-    if not map_file.image.is_file():
+    name = f"track '{path.name}': the picture {shown(map_file.image.name)}"
+    if not os.path.isfile(map_file.image):  # Path.is_file raises on a name that is too long
         raise TrackError(f"{name} is not there; put it beside the YAML file, or name its place in image")
     limits = f"pixels; it must have from {LEAST_PIXELS} to {MOST_PIXELS:,}"
     content = read_whole(map_file.image, MOST_IMAGE_BYTES, name, TrackError)

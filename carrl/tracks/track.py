@@ -16,16 +16,13 @@ from torch import Tensor
 
 from carrl.errors import TrackError
 from carrl.tracks.adjust import adjusted
-from carrl.tracks.bridges import Bridge, check_road, find_bridges
-from carrl.tracks.centreline import Centreline, Road, gap_of
-from carrl.tracks.crossings import cut_folds
-from carrl.tracks.drawing import DRAWINGS
-from carrl.tracks.drawing_file import MIN_GATE_SPACING
+from carrl.tracks.bridges import Bridge, check_road, cut_folds, find_bridges
+from carrl.tracks.centreline import Centreline, Road, Routes, gap_of
+from carrl.tracks.drawing_file import DRAWINGS, MIN_GATE_SPACING
 from carrl.tracks.formats import check_options, read_roads
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.library import VARIABLE, find_file
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
-from carrl.tracks.routes import Routes
 
 DEFAULT_GATE_SPACING = 30.0
 """Distance between gates on a track from a file, m; the paper's track has its 8 gates about as far apart."""
@@ -290,7 +287,7 @@ class Track:
         """Poses on the centreline, in the driving direction: stations [B], m, to [B, 3], float32, m, m, rad."""
         return self._route.poses(self._only(stations), stations)
 
-    def room_at(self, stations: Tensor) -> Tensor:
+    def clearance_at(self, stations: Tensor) -> Tensor:
         """How far the walls are from the centreline, left and right: stations [B], m, to [B, 2], float64, m."""
         return self._route.clearance(self._only(stations), stations)
 

@@ -17,6 +17,7 @@ import shapely
 
 from carrl.errors import TrackError
 from carrl.files import read_whole, write_whole
+from carrl.tracks.bridges import find_crossings, segments_of
 from carrl.tracks.centreline import (
     MAX_COORDINATE,
     MAX_FILE_BYTES,
@@ -26,7 +27,6 @@ from carrl.tracks.centreline import (
     normals,
     without_repeats,
 )
-from carrl.tracks.crossings import find_crossings, segments_of
 
 COLUMNS = ("centre x", "centre y", "inner x", "inner y", "outer x", "outer y")
 MOST_SKEW = math.radians(20)

@@ -17,10 +17,10 @@ from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.source import Logged, Simulated, Source
 from carrl.env.track_env import TrackEnv
 from carrl.errors import CheckpointError, ConfigError, shown
-from carrl.generators import part_generator, part_seed
 from carrl.task.observation import Observation
+from carrl.task.random_streams import part_generator, part_seed
 from carrl.task.reward import Reward
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 from carrl.train.checkpoint import load_checkpoint

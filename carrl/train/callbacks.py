@@ -1,25 +1,133 @@
-"""What a trainer does beside training: record transitions, measure logged ones, evaluate.
+"""What a trainer does beside training (record, measure, evaluate), and what a log says of its run.
 
 Shapes: `A` replicates, `F` transitions of each.
 """
 
+import json
+import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
 
+import carrl
 from carrl.data.replay_buffer import KEYS
 from carrl.data.source import Round
-from carrl.evaluation.results import Trial
+from carrl.env.track_env import TrackEnv
+from carrl.evaluation.results import EvaluationResult, Rollout
 from carrl.evaluation.rollout import rollout
 from carrl.log.messages import Metrics
+from carrl.log.scene import ObservationPart, Scene
+from carrl.log.schema import Column, Schema
 from carrl.sim.simulator import Simulator
-from carrl.train.provenance import log_schema
+from carrl.sim.vehicle import POSE
 
 if TYPE_CHECKING:
     from carrl.train.trainer import Trainer
+
+PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "mcap", "protobuf", "numpy", "numba")
+_GIT_TIMEOUT_S = 5.0
+_UNITS = "m, m, rad counter-clockwise from +x first"
+
+
+def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
+    """The entries of a log's metadata for the agent with this seed, who drives so many cars."""
+    entries = {
+        "seed": str(seed),
+        "track": env.track.name if len(env.tracks) == 1 else f"{len(env.tracks)} tracks",
+        "num_envs": str(cars),
+        "packages": json.dumps({"carrl": carrl.__version__, **_versions()}),
+        **scene_of(env).entries(),
+    }
+    commit = git_commit()
+    return entries | ({"git_commit": commit} if commit else {})
+
+
+def scene_of(env: TrackEnv) -> Scene:
+    """The world of an environment, without its tracks, which a log has as attachments."""
+    vehicle, action = env.simulator.vehicle, env.task.action
+    return Scene(
+        action_names=tuple(action.names),
+        control_names=tuple(action.control_names),
+        observation=tuple(ObservationPart(*part) for part in env.task.observation_parts),
+        reward_terms=env.task.reward.term_names,
+        sensor_angles=env.sensor_angles.double().cpu().numpy(),
+        sensor_range=env.sensor_range,
+        time_step=vehicle.time_step,
+        body_radius=vehicle.body_radius,
+        tracks=(),
+    )
+
+
+def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
+    """The columns of a log: those of the environment, and those of the algorithm."""
+    parts = " then ".join(f"{part.width} of {part.name}" for part in env.task.observation_parts)
+    action, names = env.task.action, env.state_names
+    state_key, width = "pose" if names == POSE else "state", env.observation_spec["observation"].shape[-1]
+    terms = env.task.reward.term_names
+    counts = "gates of the episode passed"
+    if action.names:
+        chosen = ", ".join(f"{number} {name}" for number, name in enumerate(action.names))
+        actions = Column("action", "action", "int64", (), chosen, narrow=True)
+    else:
+        controls = tuple(action.control_names)
+        actions = Column("action", "action", "float32", action.spec.shape, "the controls, each in -1..1", controls)
+    task = (
+        Column("observation", "observation", "float32", (width,), f"before the action: {parts}"),
+        actions,
+        Column("reward", ("next", "reward"), "float32", (1,), "sum of the reward terms"),
+        Column("reward_terms", ("next", "reward_terms"), "float32", (len(terms),), "what each term paid", terms),
+        Column("next_observation", ("next", "observation"), "float32", (width,), f"after the action: {parts}"),
+        Column("terminated", ("next", "terminated"), "bool", (1,), "the episode ended here, in a terminal state"),
+        Column("truncated", ("next", "truncated"), "bool", (1,), "the episode was cut here, in no terminal state"),
+        Column("episode", "episode", "int64", (), "number of the episode within the run"),
+        Column("step", "step", "int64", (), "index of the transition within its episode, from 0", narrow=True),
+        Column("car", "car", "int64", (), "index of the car among those simulated side by side, from 0", narrow=True),
+        Column("track", "track", "int64", (), "index of the car's track among the attached ones", narrow=True),
+        Column("state", state_key, "float32", (len(names),), f"before the action: {_UNITS}", names),
+        Column(
+            "next_state",
+            ("next", state_key),
+            "float32",
+            (len(names),),
+            f"after the action: {_UNITS}",
+            names,
+        ),
+        Column("next_gate", "next_gate", "int64", (), "index of the gate to pass next, before the action", narrow=True),
+        Column("gates_passed", "gates_passed", "int64", (), f"{counts} before the action", narrow=True),
+        Column("next_gates_passed", ("next", "gates_passed"), "int64", (), f"{counts} after the action", narrow=True),
+        Column("time_ns", "time_ns", "int64", (), "simulated time before the action, since the start of the run, ns"),
+    )
+    return Schema(task, tuple(algorithm))
+
+
+def git_commit() -> str | None:
+    """The commit of the checkout that this code runs from, with "-dirty" after it where files differ; None if none."""
+    root = Path(carrl.__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=_GIT_TIMEOUT_S, check=True
+        ).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _versions() -> dict[str, str]:
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return versions
+
 
 LOGGED_TOGETHER = 2048
 """Env steps of each replicate after which they are logged."""
@@ -30,18 +138,27 @@ METRICS_INTERVAL_S = 0.5
 
 
 class Callback:
-    """What a trainer calls at certain points; by default each does nothing."""
+    """Follows a training run; override what is of use."""
 
-    def collected(self, trainer: "Trainer", batch: Round) -> None:
+    def on_start(self, trainer: "Trainer") -> None:
+        """Called once, before the first round."""
+
+    def on_round(self, trainer: "Trainer") -> None:
+        """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
+
+    def on_end(self) -> None:
+        """Called once after the last round, also where an error ended the run."""
+
+    def on_collected(self, trainer: "Trainer", batch: Round) -> None:
         """A round's transitions are in the memory, and nothing was learnt from them yet."""
 
-    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
         """All updates of a round are made."""
 
-    def flush(self, trainer: "Trainer") -> None:
+    def on_flush(self, trainer: "Trainer") -> None:
         """Nothing may be held back: the state is to be saved, or replicates' runs end."""
 
-    def ended(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
+    def on_limit(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
         """These replicates have reached a limit; their runs end after this."""
 
     def state_dict(self) -> dict[str, Any]:
@@ -65,7 +182,7 @@ class Recorder(Callback):
         """Goes on from there; the logs are written up to there."""
         self._logged = self._measured = trainer.frames
 
-    def collected(self, trainer: "Trainer", batch: Round) -> None:
+    def on_collected(self, trainer: "Trainer", batch: Round) -> None:
         """Keeps the transitions to be logged together, and logs them when that is due."""
         if batch.transitions is None or trainer.source.env is None:
             return
@@ -74,13 +191,13 @@ class Recorder(Callback):
             self._keys = list(dict.fromkeys([*schema.keys, *KEYS]))  # the columns, and what the loss reads besides
         self._waiting.append(batch.transitions.select(*self._keys).clone())
         if trainer.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
-            self.flush(trainer)
+            self.on_flush(trainer)
         if trainer.learner.learns_for_the_first_time:  # half a minute, in which a kill would lose them
-            self.flush(trainer)
+            self.on_flush(trainer)
             for run in trainer.active.values():
                 run.folder.flush()
 
-    def flush(self, trainer: "Trainer") -> None:
+    def on_flush(self, trainer: "Trainer") -> None:
         """Logs the transitions since the last call."""
         if not self._waiting:
             return
@@ -112,7 +229,7 @@ class Recorder(Callback):
 class LoggedProgress(Callback):
     """Where transitions come from logs, adds a row for each round to the tables, as there are no episodes."""
 
-    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
         """Measures every replicate on a fixed sample of the logged transitions."""
         sample = trainer.source.sample
         if sample is None:
@@ -143,13 +260,13 @@ class Evaluator(Callback):
         """Goes on from there."""
         self._evaluated_at, self._round_began_at = state["evaluated_at"], trainer.frames
 
-    def learnt(self, trainer: "Trainer", batch: Round) -> None:
+    def on_learnt(self, trainer: "Trainer", batch: Round) -> None:
         """Evaluates if the round has passed a multiple of the interval."""
         before, self._round_began_at = self._round_began_at, trainer.frames
         if self._interval is not None and trainer.frames // self._interval > before // self._interval:
             self._evaluate(trainer)
 
-    def ended(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
+    def on_limit(self, trainer: "Trainer", replicates: Sequence[int]) -> None:
         """Evaluates the networks as they are, unless that was done."""
         if self._evaluated_at != trainer.frames:
             self._evaluate(trainer)
@@ -160,12 +277,21 @@ class Evaluator(Callback):
         for index, run in trainer.active.items():
             run.add_evaluation(evaluations[index], trainer.status(run.status.loss))
 
-    def drive(self, trainer: "Trainer") -> list[Trial]:
+    def drive(self, trainer: "Trainer") -> list[EvaluationResult]:
         """The evaluation of every replicate's network, all driven side by side."""
         world, replicates = trainer.pipeline.world, len(trainer.runs)
         circuits = len(world.circuits.validation)
         if self._simulator is None:
             self._simulator = world.simulator(world.circuits.validation, trainer.algorithm.collect_policy.device)
         track = torch.arange(circuits).repeat(replicates)
-        drives = rollout(world, self._simulator, trainer.algorithm.greedy_policy, torch.zeros(len(track)), track)
-        return [Trial(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)]
+
+        def of_replicates(drives: Sequence[Rollout]) -> list[EvaluationResult]:
+            return [
+                EvaluationResult(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)
+            ]
+
+        def shown(drives: Sequence[Rollout]) -> list[int]:
+            return [number * circuits + result.shown for number, result in enumerate(of_replicates(drives))]
+
+        policy, stations = trainer.algorithm.greedy_policy, torch.zeros(len(track))
+        return of_replicates(rollout(world, self._simulator, policy, stations, track, shown))

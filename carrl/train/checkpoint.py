@@ -18,8 +18,7 @@ from torch import Tensor
 
 from carrl.errors import CheckpointError, shown
 from carrl.files import read_whole, remove_left_overs, write_whole
-from carrl.train.files import CONFIG, EVALUATIONS, METRICS
-from carrl.train.inputs import Inputs
+from carrl.train.files import CONFIG, EVALUATIONS, METRICS, Inputs
 
 FORMAT_VERSION = 1
 MAX_BYTES = 16 * 2**30

@@ -20,8 +20,15 @@ from carrl.config import TARGETS, config_dir, make_importable
 from carrl.errors import CLOSE, ConfigError, did_you_mean, shown
 from carrl.plain_yaml import parse_yaml
 
-PLAIN_KEYS = ("seed", "device", "resume", "compile", "threads", "search")
-"""Keys of the configuration that are no groups."""
+PLAIN_KEYS = {
+    "seed": "of everything random in the run: network, exploration, environment, replay sampling",
+    "device": "`cpu` or `cuda`: where the cars drive and the network learns",
+    "compile": "make the updates in native code, about ten times faster; else eagerly, the same but for rounding",
+    "threads": "CPU threads of torch; more do not help a network this small",
+    "resume": "a run's folder, to go on with it, or for longer: `carrl train resume=RUN trainer.frames=500000`",
+    "search": "what `carrl tune` searches among; training does not read it",
+}
+"""Keys of the configuration that are no groups, and what they are."""
 MAY_BE_EMPTY = ("learning_rate", "logger", "data")
 """Groups of which an option may have no keys."""
 MAY_BE_ABSENT = (*MAY_BE_EMPTY, "gradient_clipping", "returns", "recorder", "resume", "search")

@@ -15,16 +15,15 @@ from carrl.config import build_node, foreign_targets, is_whole_number, module_of
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
 from carrl.train.build import Pipeline, build_pipeline, logs_of
+from carrl.train.callbacks import Callback, describe_run, log_schema
 from carrl.train.checkpoint import StateFile
-from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, write_text
+from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, Inputs, check_inputs, checksums, write_text
 from carrl.train.folder import RunFolder, check_tables
-from carrl.train.inputs import Inputs, check_inputs, checksums
 from carrl.train.new_folder import LOCK, check_holds_no_run, locked
-from carrl.train.provenance import describe_run, log_schema
 from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
 from carrl.train.trainer import Trainer
@@ -34,19 +33,6 @@ Summary = dict[str, Any]
 """What `summary.json` holds."""
 MOST_THREADS = 1024
 """More than any machine has cores; torch takes no number of more than 31 bits."""
-
-
-class Observer:
-    """Follows a training run from outside; override what is of use."""
-
-    def on_start(self, trainer: Trainer) -> None:
-        """Called once before the first round."""
-
-    def on_round(self, trainer: Trainer) -> None:
-        """Called after every round of collecting and learning; `trainer.stop()` ends the run, all of it saved."""
-
-    def on_end(self) -> None:
-        """Called once after the last round, also where an error ended the run."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +49,7 @@ class Experiment:
     folder: Path
     records: Mapping[str, str] = field(default_factory=dict)
 
-    def run(self, observers: Sequence[Observer] = ()) -> list[Summary]:
+    def run(self, callbacks: Sequence[Callback] = ()) -> list[Summary]:
         """Trains in a folder that holds no run yet; returns each replicate's summary.
 
         Raises:
@@ -72,9 +58,9 @@ class Experiment:
         with locked(self.folder):
             check_holds_no_run(self.folder)
             with self._leaving_nothing_if_refused():
-                return self.go_on(None, observers)
+                return self.go_on(None, callbacks)
 
-    def go_on(self, state: dict[str, Any] | None, observers: Sequence[Observer] = ()) -> list[Summary]:
+    def go_on(self, state: dict[str, Any] | None, callbacks: Sequence[Callback] = ()) -> list[Summary]:
         """Goes on with a run, whose folder must be locked, from its latest state; None if it has none yet.
 
         A run that was stopped early says so in its summaries, whose `finished` is false.
@@ -95,7 +81,7 @@ class Experiment:
                 ) from error
             if state is not None:
                 trainer.load_state_dict(state)
-            _train(trainer, observers)
+            _train(trainer, callbacks)
             summaries = self._write_summaries(trainer)
         if not trainer.stopping:
             _draw(trainer)
@@ -193,22 +179,13 @@ def _phrases(track: Track, car: Car) -> list[str]:
     return [*([] if gap is None else [gap]), *unsuitable(track, car)]
 
 
-def _train(trainer: Trainer, observers: Sequence[Observer]) -> None:
+def _train(trainer: Trainer, callbacks: Sequence[Callback]) -> None:
     """Trains until the run is over or stopped."""
-
-    def on_round(trainer: Trainer) -> None:
-        for observer in observers:
-            observer.on_round(trainer)
-
-    with ExitStack() as stack:
-        for observer in observers:
-            stack.callback(observer.on_end)
-            observer.on_start(trainer)
-        try:
-            trainer.run(on_round)
-        except KeyboardInterrupt:  # how `interrupt` ends a compilation
-            if not trainer.stopping:
-                raise
+    try:
+        trainer.run(callbacks)
+    except KeyboardInterrupt:  # how `interrupt` ends a compilation
+        if not trainer.stopping:
+            raise
 
 
 def _checked_threads(threads: Any) -> int:
@@ -305,7 +282,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
     from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:
-        best, track = run.best.drives[run.best.shown], world.circuits.validation[run.best.shown]
+        best, track = run.best.rollouts[run.best.shown], world.circuits.validation[run.best.shown]
         draw_lap(
             run.folder.path / LAP,
             track,

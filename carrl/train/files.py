@@ -1,4 +1,4 @@
-"""What lies where in a run's folder, and its small files read and written; nothing here waits for torch.
+"""What lies where in a run's folder, its small files, and checksums of its inputs; nothing here waits for torch.
 
 .hydra/config.yaml    the resolved configuration
 train.mcap            every transition
@@ -9,15 +9,20 @@ summary.json          the run in a few figures
 learning_curve.png, lap.png
 """
 
+import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from carrl.config import check_targets
-from carrl.errors import CheckpointError, ConfigError
+from carrl.errors import CheckpointError, ConfigError, LogError
 from carrl.files import read_whole, write_whole
 from carrl.plain_yaml import parse_yaml
+
+if TYPE_CHECKING:
+    from carrl.tracks.circuits import Circuits
+    from carrl.tracks.track import Track
 
 CONFIG = Path(".hydra/config.yaml")
 LOG = "train.mcap"
@@ -119,3 +124,54 @@ def write_text(path: Path, text: str) -> None:
         CarrlError: the disk refuses it.
     """
     write_whole(path, text.encode())
+
+
+Inputs = Mapping[str, str]
+"""A checksum for each track and log by its name, such as "track 'oval.csv'"."""
+
+
+def checksums(circuits: "Circuits", logs: Iterable[Path] = ()) -> dict[str, str]:
+    """The checksums of the tracks as they are driven, and of the logs' bytes.
+
+    Raises:
+        LogError: a log cannot be read.
+    """
+    found: dict[str, str] = {}
+    for track in dict.fromkeys((*circuits.training, *circuits.validation)):
+        name = f"track '{track.name}'"
+        found[name if name not in found else f"{name} ({len(found)})"] = _of_track(track)
+    return found | {f"log '{path}'": _of_log(path) for path in logs}
+
+
+def check_inputs(run: Path, before: Inputs, now: Inputs) -> None:
+    """Refuses to go on with other tracks or logs.
+
+    Raises:
+        CheckpointError: they are not those that the run began with.
+    """
+    differing = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
+    if differing:
+        named = ", ".join(_describe(name, before, now) for name in differing[:3])
+        more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
+        raise CheckpointError(
+            f"run '{run}' began with other inputs: {named}{more}; put back what it learnt from, or train anew"
+        )
+
+
+def _describe(name: str, before: Inputs, now: Inputs) -> str:
+    return f"{name} {'is new' if name not in before else 'is missing' if name not in now else 'was changed'}"
+
+
+def _of_track(track: "Track") -> str:
+    digest = hashlib.sha256(f"{track.gate_count} {track.bridges}".encode())
+    for part in (track.centreline, track.left_wall, track.right_wall):
+        digest.update(part.contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _of_log(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise LogError(f"log '{path}': cannot be read: {error.strerror}; give the path of a log") from error

@@ -22,8 +22,7 @@ from torchrl.data import TensorDictReplayBuffer
 from carrl.algorithms.algorithm import Algorithm, UpdateResult
 from carrl.algorithms.common.compiled_update import CompiledUpdate
 from carrl.algorithms.common.native import CompilationError
-from carrl.data.replay_buffer import memory_of
-from carrl.data.sampler import Minibatch
+from carrl.data.replay_buffer import Minibatch, memory_of
 
 COMPILED, EAGER = "compiled", "eager"
 """The kinds of update. Their numbers differ by rounding: by 1e-7 after some hundred updates, and by more and more."""

@@ -14,8 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from carrl.errors import CarrlError, CheckpointError, ConfigError
-from carrl.printable import printable
+from carrl.errors import CarrlError, CheckpointError, ConfigError, printable
 from carrl.train.files import CONFIG, EVALUATIONS, LAP, LEARNING_CURVE, LOG, METRICS, SUMMARY, read_config
 
 LOCK = ".lock"

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from torch import nn
 
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult
 from carrl.log.messages import Episode
 from carrl.train.checkpoint import check_fits
 from carrl.train.folder import RunFolder
@@ -87,8 +87,8 @@ class ReplicateRun:
         self.laps = 0
         self.first_lap: FirstLap | None = None
         self._unconfirmed_lap: FirstLap | None = None
-        self.best: Trial | None = None
-        self.last: Trial | None = None
+        self.best: EvaluationResult | None = None
+        self.last: EvaluationResult | None = None
         self._checkpoints: dict[str, dict[str, Any]] = {}
 
     def state_dict(self) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class ReplicateRun:
         self.laps = state["laps"]
         self.first_lap, self._unconfirmed_lap = map(_lap_of, (state["first_lap"], state["unconfirmed_lap"]))
         self.best, self.last = (
-            Trial.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
+            EvaluationResult.from_state_dict(state[name]) if state[name] else None for name in ("best", "last")
         )
         self._checkpoints = dict(state["checkpoints"])
         for name, checkpoint in self._checkpoints.items():
@@ -148,7 +148,7 @@ class ReplicateRun:
             }
             self.folder.add_episode(episode, own)
 
-    def add_evaluation(self, evaluation: Trial, status: TrainingStatus) -> None:
+    def add_evaluation(self, evaluation: EvaluationResult, status: TrainingStatus) -> None:
         """Notes drives without exploration, and keeps the network that drove them and the best one so far."""
         self.status = status
         self.last = evaluation.with_trajectory(False)
@@ -160,7 +160,7 @@ class ReplicateRun:
             self.best = evaluation.with_trajectory(True)
             self.keep_network("best")
 
-    def _seek_first_lap(self, evaluation: Trial, status: TrainingStatus) -> None:
+    def _seek_first_lap(self, evaluation: EvaluationResult, status: TrainingStatus) -> None:
         """Confirms the lap of the evaluation before this one, or forgets it and takes note of this one's."""
         if not evaluation.lap_completed:
             self._unconfirmed_lap = None
@@ -195,7 +195,7 @@ def _lap_of(state: Any) -> FirstLap | None:
     return FirstLap(**state)
 
 
-def _figures(evaluation: Trial | None) -> dict[str, Any] | None:
+def _figures(evaluation: EvaluationResult | None) -> dict[str, Any] | None:
     if evaluation is None:
         return None
     measures = evaluation.measures()

@@ -55,6 +55,9 @@ _FILES = (
     PREVIOUS,
     "checkpoints/best.pt",
     "checkpoints/last.pt",
+    str(CONFIG),
+    str(CONFIG.with_name("hydra.yaml")),
+    str(CONFIG.with_name("overrides.yaml")),
 )
 """What is written in the folder of a run or of one of its seeds; a log that is none goes on in another file."""
 _HAS_LINKS = "wandb"

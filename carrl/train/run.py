@@ -18,15 +18,16 @@ import yaml
 from torch import Tensor
 
 from carrl.errors import CarrlError, CheckpointError, ConfigError
-from carrl.evaluation.results import Drive, tally
-from carrl.evaluation.rollout import Policy, Survey, random_policy, rule_policy, rule_world
+from carrl.evaluation.results import Rollout, aggregate
+from carrl.evaluation.rollout import Policy, TrackEvaluator, random_policy, rule_policy, rule_world
 from carrl.log.reader import Log
-from carrl.task.world import World
+from carrl.task.task import World
 from carrl.tracks.circuits import Folder, load_folder
 from carrl.tracks.track import Track
 from carrl.train.build import build_world, load_greedy_policy
+from carrl.train.callbacks import Callback
 from carrl.train.composition import composed, quote
-from carrl.train.experiment import Config, Experiment, Observer, Summary, own_modules, road_warning
+from carrl.train.experiment import Config, Experiment, Summary, own_modules, road_warning
 from carrl.train.files import LOG, SUMMARY, load_config, read_text, seed_folders
 from carrl.train.new_folder import locked, make_new
 from carrl.train.overrides import check_is_read, is_text, named_overrides, readable_overrides
@@ -36,7 +37,7 @@ from carrl.train.trainer import Trainer
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
 PolicyName = Literal["greedy", "rule", "random"]
-Laps = list[list[Drive]]
+Laps = list[list[Rollout]]
 """The drives of each track."""
 
 
@@ -139,10 +140,12 @@ class Run:
         circuits = loaded or list(self.world.circuits.validation)
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
-        survey = Survey(self.world, circuits, starts)
+        evaluator = TrackEvaluator(self.world, circuits, starts)
         policies = [self._policy_of(folder, config, policy, checkpoint) for folder, config in chosen]
-        laps = [survey.drive(each, rule_world(self.world) if each is rule_policy else self.world) for each in policies]
-        rule = survey.drive(rule_policy, rule_world(self.world)) if policy != "rule" else None
+        laps = [
+            evaluator.evaluate(each, rule_world(self.world) if each is rule_policy else self.world) for each in policies
+        ]
+        rule = evaluator.evaluate(rule_policy, rule_world(self.world)) if policy != "rule" else None
         step_length = self.world.vehicle.step_length
         document: dict[str, Any] = {
             "run": str(self.folder),
@@ -202,20 +205,20 @@ def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_
     """The figures of each track and of all, each with those of the rule."""
 
     def beside(laps: Laps | None) -> dict[str, Any]:
-        return {} if laps is None else {"rule": tally([[each for own in laps for each in own]], step_length)}
+        return {} if laps is None else {"rule": aggregate([[each for own in laps for each in own]], step_length)}
 
     of_tracks = [
         {
             "track": track.name,
             "length_m": track.length,
-            **tally([laps[index] for laps in runs], step_length),
+            **aggregate([laps[index] for laps in runs], step_length),
             "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
             **beside(rule and [rule[index]]),
         }
         for index, track in enumerate(tracks)
     ]
     everything = [[each for own in laps for each in own] for laps in runs]
-    return {"tracks": of_tracks, "all": {**tally(everything, step_length), **beside(rule)}}
+    return {"tracks": of_tracks, "all": {**aggregate(everything, step_length), **beside(rule)}}
 
 
 def _read_summary(folder: Path) -> Summary:
@@ -234,7 +237,7 @@ def train(
     resume: str | Path | None = None,
     config_dir: str | Path | None = None,
     trust: Sequence[str] = (),
-    observers: Sequence[Observer] = (),
+    callbacks: Sequence[Callback] = (),
     progress: bool = False,
     **values: Any,
 ) -> Run:
@@ -247,7 +250,7 @@ def train(
         resume: the folder of a run to go on with instead of beginning one.
         config_dir: a folder of groups and experiments of your own, beside which your modules may lie.
         trust: modules of your own that a run to be resumed may use.
-        observers: follow the training.
+        callbacks: follow the training.
         progress: print how it goes on standard error.
         **values: of the configuration, by their keys; a mapping stands for the keys below.
 
@@ -256,7 +259,7 @@ def train(
     """
     typed = [*_typed({**({"experiment": experiment} if experiment else {}), **values})]
     typed += _typed(overrides) if isinstance(overrides, Mapping) else overrides
-    watching = [_Warner(), *([_Printer()] if progress else []), *observers]
+    watching = [_Warner(), *([_Printer()] if progress else []), *callbacks]
     if resume is not None:
         return _resume(Path(resume), typed, trust, watching)
     readable = readable_overrides(typed, is_sweep=None, verb="carrl.train", folder_key="folder=")
@@ -272,11 +275,11 @@ def train(
     return Run(path, own_modules(config))
 
 
-def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], observers: Sequence[Observer]) -> Run:
+def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], callbacks: Sequence[Callback]) -> Run:
     load_config(run, trust)  # so that nothing is written to a folder that is no run's
     with locked(run):
         resumption = resumption_of(run, named_overrides(typed), trust)
-        Experiment(resumption.config, run).go_on(resumption.state, observers)
+        Experiment(resumption.config, run).go_on(resumption.state, callbacks)
     return Run(run, trust)
 
 
@@ -308,7 +311,7 @@ def _as_typed(value: Any) -> str:
     raise ConfigError(f"{value!r} is no value of a configuration; give a number, text, list or mapping")
 
 
-class _Warner(Observer):
+class _Warner(Callback):
     """Warns of a track that does not suit the car."""
 
     def on_start(self, trainer: Trainer) -> None:
@@ -317,7 +320,7 @@ class _Warner(Observer):
             warnings.warn(warning.removeprefix("warning: "), stacklevel=2)
 
 
-class _Printer(Observer):
+class _Printer(Callback):
     """Prints a line every few seconds."""
 
     _INTERVAL_S = 2.0

@@ -105,6 +105,13 @@ def make_tensorboard(*, folder: Path, config: Mapping[str, Any]) -> Scalars:
 def make_wandb(project: str, offline: bool, *, folder: Path, config: Mapping[str, Any]) -> Scalars:
     """A run of Weights & Biases, kept in the run's folder and, unless `offline`, sent to its server.
 
+    Args:
+        project: of the runs, on the server.
+        offline: keep them here, for `wandb sync RUN/wandb/offline-run-*`; else send them while training, after `wandb
+            login`.
+        folder: of the run.
+        config: of the run.
+
     Raises:
         ConfigError: the package is not installed, or the server refuses the run.
     """
@@ -129,6 +136,13 @@ def make_wandb(project: str, offline: bool, *, folder: Path, config: Mapping[str
 
 def make_mlflow(experiment: str, tracking_uri: str | None, *, folder: Path, config: Mapping[str, Any]) -> Scalars:
     """A run of MLflow, by default in a database in the run's folder.
+
+    Args:
+        experiment: the name under which MLflow lists the runs.
+        tracking_uri: one place for many runs, such as sqlite:////home/me/mlflow.db or a server; None for a file in the
+            run's folder.
+        folder: of the run.
+        config: of the run.
 
     Raises:
         ConfigError: the package is not installed, or the place cannot be reached.

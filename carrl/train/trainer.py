@@ -4,7 +4,8 @@ Shapes: `A` replicates.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import carrl
@@ -31,7 +32,6 @@ class Trainer:
         pipeline: of a run that has done nothing yet.
         folders: one for each replicate.
         state_file: where the state is kept between rounds; None to keep none.
-        callbacks: what to do besides recording and evaluating.
 
     Attributes:
         runs: of the replicates.
@@ -43,7 +43,6 @@ class Trainer:
         pipeline: Pipeline,
         folders: Sequence[RunFolder],
         state_file: StateFile | None = None,
-        callbacks: Sequence[Callback] = (),
     ) -> None:
         self.pipeline = pipeline
         algorithm = pipeline.algorithm
@@ -54,8 +53,8 @@ class Trainer:
         self._start_up_s = self._began - carrl._IMPORTED_AT
         self._stopping = False
         self._state_file = state_file
-        self._evaluator = Evaluator(pipeline.evaluation_interval)
-        self._callbacks = [Recorder(), LoggedProgress(), self._evaluator, *callbacks]
+        self._own_callbacks = [Recorder(), LoggedProgress(), Evaluator(pipeline.evaluation_interval)]
+        self._callbacks: Sequence[Callback] = self._own_callbacks
 
     @property
     def algorithm(self) -> Algorithm:
@@ -137,38 +136,47 @@ class Trainer:
             for run in self.runs
         ]
 
-    def run(self, on_round: Callable[["Trainer"], None]) -> None:
-        """Trains; `on_round` is called after every round of collecting and learning.
+    def run(self, callbacks: Sequence[Callback] = ()) -> None:
+        """Trains, followed by the callbacks, besides those that record and evaluate.
 
         Raises:
             CarrlError: a log, a table or a checkpoint cannot be written, or a loss is not a number.
         """
-        try:
-            if self.frames == self.updates == 0:
+        self._callbacks = [*self._own_callbacks, *callbacks]
+        with ExitStack() as stack:
+            for callback in self._callbacks:
+                stack.callback(callback.on_end)
+                callback.on_start(self)
+            try:
+                self._make_rounds()
+            finally:
+                self._flush()
+                self.source.close()
+
+    def _make_rounds(self) -> None:
+        if self.frames == self.updates == 0:
+            self.save()
+        self._end_runs()
+        while self.active:
+            self._make_round()
+            for callback in self._callbacks:
+                callback.on_round(self)
+            self._check_folders()
+            if self._state_file is not None and self._state_file.is_due:
                 self.save()
             self._end_runs()
-            while self.active:
-                self._make_round()
-                on_round(self)
-                self._check_folders()
-                if self._state_file is not None and self._state_file.is_due:
-                    self.save()
-                self._end_runs()
-        finally:
-            self._flush()
-            self.source.close()
 
     def _make_round(self) -> None:
         batch = self.source.collect(self.updates)
         for callback in self._callbacks:
-            callback.collected(self, batch)
+            callback.on_collected(self, batch)
         self.learner.learn(batch.steps)
         self._check_losses()
         losses = self.learner.losses.tolist()
         for index, run in self.active.items():
             run.add_episodes(batch.episodes[index], self.status(losses[index]))
         for callback in self._callbacks:
-            callback.learnt(self, batch)
+            callback.on_learnt(self, batch)
 
     def _check_losses(self) -> None:
         """Ends the training where the loss of a replicate that is not over was not finite."""
@@ -199,7 +207,7 @@ class Trainer:
             self.save()
         if over:
             for callback in self._callbacks:
-                callback.ended(self, over)
+                callback.on_limit(self, over)
         self._let_go(over)
 
     def _let_go(self, over: Sequence[int]) -> None:
@@ -210,7 +218,7 @@ class Trainer:
 
     def _flush(self) -> None:
         for callback in self._callbacks:
-            callback.flush(self)
+            callback.on_flush(self)
 
     # State
 
@@ -229,7 +237,7 @@ class Trainer:
             "algorithm": self.algorithm.state_dict(),
             "learner": self.learner.state_dict(),
             "runs": [run.state_dict() for run in self.runs],
-            "callbacks": [callback.state_dict() for callback in self._callbacks],
+            "callbacks": [callback.state_dict() for callback in self._own_callbacks],
             "active": list(self.active),
             "wall_time_s": self.wall_time_s,
             "first_update_s": self.first_update_s,
@@ -255,7 +263,7 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         for run, own in zip(self.runs, state["runs"], strict=True):
             run.load_state_dict(own)
-        for callback, own in zip(self._callbacks, state["callbacks"], strict=True):
+        for callback, own in zip(self._own_callbacks, state["callbacks"], strict=True):
             callback.load_state_dict(own, self)
         self._began = time.monotonic() - state["wall_time_s"]
         if state["first_update_s"] is not None:

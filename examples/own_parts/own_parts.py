@@ -41,9 +41,9 @@ class NearestWall:
         """One value in 0..1."""
         return Part(name, 1, 0.0, 1.0)
 
-    def __call__(self, moment) -> Tensor:
+    def __call__(self, context) -> Tensor:
         """As a share of the sensor's range, [N, 1]."""
-        return moment.ranges.amin(dim=-1, keepdim=True) / moment.simulator.sensor.max_range
+        return context.ranges.amin(dim=-1, keepdim=True) / context.simulator.sensor.max_range
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from carrl.algorithms.common.network import QNetwork
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.optimizer import make_hard_update
 
 TRAINED, TARGET = (1.0, 4.0, 2.0), (3.0, 5.0, 7.0)
 

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from carrl.algorithms.common.network import make_q_network
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.optimizer import make_hard_update
 from carrl.algorithms.dqn.loss import make_advantage_learning_loss, make_dqn_loss
 from carrl.errors import ConfigError
 from tests.algorithms.losses import TARGET, TRAINED, linear_network, random_transitions, transitions, with_target

@@ -9,12 +9,10 @@ from torch import nn
 from torchrl.modules import DistributionalQValueActor
 from torchrl.objectives import DistributionalDQNLoss
 
-from carrl.algorithms.common.network import QNetwork, make_q_network
-from carrl.algorithms.common.target_updater import make_hard_update
-from carrl.algorithms.dqn.distributional_loss import _projected, make_distributional_loss
-from carrl.algorithms.dqn.loss import make_cql_loss, make_dqn_loss
+from carrl.algorithms.common.network import QNetwork, ReturnDistribution, make_distributional_network, make_q_network
+from carrl.algorithms.common.optimizer import make_hard_update
+from carrl.algorithms.dqn.loss import _projected, make_cql_loss, make_distributional_loss, make_dqn_loss
 from carrl.algorithms.dqn.policy import GreedyPolicy
-from carrl.algorithms.dqn.return_distribution import ReturnDistribution, make_distributional_network
 from carrl.errors import ConfigError
 from tests.algorithms.test_conservative_loss import random_transitions
 

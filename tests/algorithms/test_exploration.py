@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carrl.algorithms.dqn.exploration import ConstantEpsilonGreedy, ExponentialEpsilonGreedy, LinearEpsilonGreedy
+from carrl.algorithms.dqn.policy import ConstantEpsilonGreedy, ExponentialEpsilonGreedy, LinearEpsilonGreedy
 from carrl.data.collector import make_collector
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError

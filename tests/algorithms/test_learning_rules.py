@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from carrl.algorithms.common.network import make_q_network
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.optimizer import make_hard_update
 from carrl.algorithms.dqn.loss import make_dqn_loss
 from carrl.errors import ConfigError
 from tests.algorithms.losses import linear_network, with_target

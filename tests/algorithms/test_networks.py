@@ -8,12 +8,16 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carrl.algorithms.common.network import make_dueling_network, make_noisy_network, make_q_network
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.network import (
+    make_distributional_network,
+    make_dueling_network,
+    make_noisy_network,
+    make_q_network,
+)
+from carrl.algorithms.common.optimizer import make_hard_update
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import make_dqn_loss, make_dueling_loss
 from carrl.algorithms.dqn.policy import GreedyPolicy
-from carrl.algorithms.dqn.return_distribution import make_distributional_network
 from carrl.errors import ConfigError
 from tests.algorithms.losses import random_transitions
 

@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from carrl.algorithms.common import native, package_cache
-from carrl.algorithms.common.native import CompilationError, compile_native
-from carrl.algorithms.common.package_cache import (
+from carrl.algorithms.common import native
+from carrl.algorithms.common.native import (
     CacheError,
+    CompilationError,
     cache_dir,
+    compile_native,
     find_package,
     keep_package,
     open_cache,
@@ -89,7 +90,7 @@ def test_two_processes_may_compile_the_same_at_once(cache):
 
 
 def test_the_least_recently_used_packages_are_forgotten(cache, monkeypatch):
-    monkeypatch.setattr(package_cache, "MAX_BYTES", 3 * len(CONTENT))
+    monkeypatch.setattr(native, "MAX_BYTES", 3 * len(CONTENT))
     paths = [keep(cache, name) for name in ("a", "b", "c")]
     for age, path in enumerate(paths, start=1):
         os.utime(path, (1000 - age, 1000 - age))
@@ -100,7 +101,7 @@ def test_the_least_recently_used_packages_are_forgotten(cache, monkeypatch):
 
 
 def test_a_package_larger_than_the_cache_is_kept_alone(cache, monkeypatch):
-    monkeypatch.setattr(package_cache, "MAX_BYTES", 1)
+    monkeypatch.setattr(native, "MAX_BYTES", 1)
     keep(cache, "a")
     newest = keep(cache, "b")
     assert list(cache.glob("*.pt2")) == [newest]

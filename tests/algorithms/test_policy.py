@@ -5,8 +5,8 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
+from carrl.algorithms.common.compiled_update import stack_in_place
 from carrl.algorithms.common.network import QNetwork, make_q_network
-from carrl.algorithms.common.stack import stack_in_place
 from carrl.algorithms.dqn.policy import GreedyPolicy
 from carrl.errors import ConfigError
 

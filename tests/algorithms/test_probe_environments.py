@@ -12,14 +12,18 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Categorical
 
-from carrl.algorithms.common.network import QNetwork, make_dueling_network, make_q_network
-from carrl.algorithms.common.target_updater import make_hard_update, make_soft_update
-from carrl.algorithms.dqn.distributional_loss import make_distributional_loss
+from carrl.algorithms.common.network import QNetwork, make_distributional_network, make_dueling_network, make_q_network
+from carrl.algorithms.common.optimizer import make_hard_update, make_soft_update
 from carrl.algorithms.dqn.dqn import DQN, Replicate
-from carrl.algorithms.dqn.exploration import ConstantEpsilonGreedy
-from carrl.algorithms.dqn.loss import make_advantage_learning_loss, make_cql_loss, make_dqn_loss, make_dueling_loss
-from carrl.algorithms.dqn.return_distribution import make_distributional_network
-from carrl.data.returns import NStepReturns
+from carrl.algorithms.dqn.loss import (
+    make_advantage_learning_loss,
+    make_cql_loss,
+    make_distributional_loss,
+    make_dqn_loss,
+    make_dueling_loss,
+)
+from carrl.algorithms.dqn.policy import ConstantEpsilonGreedy
+from carrl.data.replay_buffer import NStepReturns
 
 GAMMA, ACTIONS = 0.5, 3
 ONE_STEP, BEFORE_IT, BY_ACTION, NEGATIVE, TRUNCATED, TERMINATED = range(6)

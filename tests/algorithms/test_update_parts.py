@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from carrl.algorithms.common.gradient_clipping import GradientClipping
-from carrl.algorithms.common.learning_rate import CosineDecay, LinearDecay
-from carrl.algorithms.common.target_updater import make_soft_update
+from carrl.algorithms.common.optimizer import CosineDecay, GradientClipping, LinearDecay, make_soft_update
 from carrl.algorithms.dqn.loss import make_dqn_loss
 from carrl.errors import ConfigError
 from tests.algorithms.test_learning_rules import linear_network

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from carrl.cli.text.episode_text import print_episode, ray_bars
 from carrl.log.trace import EpisodeTrace
+from carrl.render.curves import round_ticks
 from carrl.render.terminal import Chart, Ink, action_inks, map_chart
-from carrl.render.ticks import round_ticks
 
 
 def printed(trace, width=80, height=24, colours=False, rows=None):

@@ -116,7 +116,7 @@ def test_a_folder_or_a_dangling_link_by_the_name_of_a_runs_file_is_one_sentence(
 
 
 @pytest.mark.parametrize("kind", ["folder", "dangling link"])
-@pytest.mark.parametrize("name", ["hydra.yaml", "mine.yaml"])
+@pytest.mark.parametrize("name", ["hydra.yaml", "overrides.yaml"])
 def test_a_folder_or_a_dangling_link_among_a_resumed_runs_settings_is_one_sentence(name, kind, run, tmp_path, capsys):
     path = shutil.copytree(run, tmp_path / "run") / ".hydra" / name
     path.unlink(missing_ok=True)

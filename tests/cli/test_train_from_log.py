@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.evaluation.results import Trial
+from carrl.evaluation.results import EvaluationResult
 from carrl.sim.simulator import Simulator
 from carrl.task.task import Task
 from carrl.train.callbacks import Evaluator
@@ -178,7 +178,7 @@ def test_the_log_of_one_fast_run_teaches_a_lap_without_a_single_simulator_step(l
             until_learnt.setattr(owner, name, refuse)
         drive = Evaluator.drive
 
-        def drive_at_the_end(evaluator: Evaluator, trainer: Trainer) -> list[Trial]:
+        def drive_at_the_end(evaluator: Evaluator, trainer: Trainer) -> list[EvaluationResult]:
             assert trainer.updates == 20_000
             until_learnt.undo()
             return drive(evaluator, trainer)

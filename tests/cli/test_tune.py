@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from carrl.cli.main import main
-from carrl.cli.search_space import Choice, Range, parse_search_space
-from carrl.cli.tune import _read_by_training
+from carrl.cli.tune import Choice, Range, _read_by_training, parse_search_space
 from carrl.errors import ConfigError
 from carrl.train.replicate_run import OBJECTIVES
 
@@ -97,10 +96,10 @@ class Training:
 
 @pytest.fixture
 def judge_of():
-    from carrl.cli.tune import PruningObserver
+    from carrl.cli.tune import PruningCallback
 
     config = {"trainer": {"frames": 1000}, "evaluation": {"interval": 250}}
-    return lambda trial, objective="first_lap": PruningObserver(trial, OBJECTIVES[objective], config)
+    return lambda trial, objective="first_lap": PruningCallback(trial, OBJECTIVES[objective], config)
 
 
 def test_a_hopeless_trial_is_stopped(judge_of):

@@ -12,7 +12,7 @@ from torchrl.data.datasets import BaseDatasetExperienceReplay, load_dataset
 from torchrl.data.datasets.utils import _DATASET_REGISTRY
 from torchrl.envs.transforms import RewardScaling
 
-from carrl.data.dataset import CarRLExperienceReplay
+from carrl.data.logs import CarRLExperienceReplay
 from carrl.errors import LogError
 from carrl.log import load
 from carrl.registration import register_with_torchrl
@@ -92,7 +92,7 @@ def test_split_trajectories_are_padded_and_masked(make_dataset, log_path):
 
 def test_the_log_is_read_once_and_again_when_it_has_changed(make_dataset, log_path, monkeypatch):
     dataset = make_dataset()
-    monkeypatch.setattr("carrl.data.dataset.fill", None)
+    monkeypatch.setattr("carrl.data.logs.fill", None)
     assert make_dataset().data_path == dataset.data_path
     monkeypatch.undo()
     write_log(log_path, logged_transitions()[:6])

@@ -3,7 +3,7 @@
 import torch
 from tensordict import TensorDict
 
-from carrl.data.episodes import EpisodeTracker
+from carrl.data.source import EpisodeTracker
 
 
 def batch(rewards, done, gates=None, steps=None):

@@ -148,7 +148,7 @@ class TestARunWhoseWorkerWasKilled:
 
 CLUSTER = f"""
 import ray, sys
-from carrl.data.ray_cluster import ray_cluster
+from carrl.data.cluster_collector import ray_cluster
 with ray_cluster(None, {WORKERS}):
     print(ray.get_runtime_context().gcs_address, flush=True)
     sys.stdin.read()

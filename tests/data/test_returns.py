@@ -5,9 +5,9 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import MultiStep
 
-from carrl.algorithms.common.target_updater import make_hard_update
+from carrl.algorithms.common.optimizer import make_hard_update
 from carrl.algorithms.dqn.loss import make_dqn_loss
-from carrl.data.returns import NStepReturns
+from carrl.data.replay_buffer import NStepReturns
 from carrl.errors import ConfigError
 from tests.algorithms.test_learning_rules import linear_network
 
@@ -91,7 +91,7 @@ def test_torchrls_own_sums_are_the_same_but_it_leaves_the_end_to_the_last_step()
         torch.testing.assert_close(ours[key][:, :, 0], theirs[key])
     assert torch.equal(ours["steps_to_next_obs"][:, :, 0, 0], theirs["steps_to_next_obs"])
     assert ours["next", "terminated"][5, 0, 0]
-    assert not theirs["next", "terminated"][5, 0]  # if it is, carrl.data.returns may build on it
+    assert not theirs["next", "terminated"][5, 0]  # if it is, carrl.data.replay_buffer may build on it
 
 
 @pytest.mark.parametrize(("double_dqn", "next_value"), [(False, 7.0), (True, 5.0)])

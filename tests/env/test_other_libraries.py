@@ -8,7 +8,7 @@ from torchrl.envs import GymEnv, GymWrapper
 from torchrl.envs.utils import check_env_specs
 
 import carrl
-from carrl.task.start import Start
+from carrl.task.episode import Start
 
 
 def always(action):

@@ -9,7 +9,7 @@ import torch
 
 import carrl
 from carrl.errors import ConfigError
-from carrl.task.start import Start
+from carrl.task.episode import Start
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'carrl[sb3]'")
 
@@ -100,7 +100,7 @@ def test_its_own_vectors_of_copies_need_no_pygame(monkeypatch):
     from stable_baselines3.common.env_util import make_vec_env
 
     monkeypatch.setitem(sys.modules, "pygame", None)
-    monkeypatch.delitem(sys.modules, "carrl.render.window", raising=False)
+    monkeypatch.delitem(sys.modules, "carrl.render.live", raising=False)
     envs = make_vec_env("carrl/Track-v0", n_envs=2, seed=0)
     envs.reset()
     assert envs.step(np.array([0, 1]))[0].shape == (2, 7)

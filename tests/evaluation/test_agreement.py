@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from carrl import TrackEnv, Vehicle
-from carrl.evaluation.rollout import drive, random_policy, rule_policy
+from carrl.evaluation.rollout import random_policy, rollout_laps, rule_policy
 from carrl.task.reward import Collision, Gate, Proximity, Reward, Shaping, Steering
 from tests.worlds import make_world
 
@@ -45,7 +45,7 @@ def noisy_rule():
 def test_an_evaluation_earns_what_the_environment_gives_in_every_term(track, policy):
     terms = {name: Noting(term) for name, term in TERMS.items()}
     world = make_world(track, reward=Reward(terms), vehicle=Vehicle(turn_radius=6.3))
-    (driven,) = drive(world, world.simulator(world.track), policy())
+    (driven,) = rollout_laps(world, world.simulator(world.track), policy())
     evaluated = torch.stack([torch.cat(term.noted).float() for term in terms.values()], dim=1)
 
     env = TrackEnv(world.track, vehicle=world.vehicle, sensor=world.sensor, reward=Reward(TERMS))

@@ -10,7 +10,7 @@ import torch
 from carrl.errors import ConfigError, TrackError
 from carrl.evaluation import best_lap
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.rollout import drive, rule_policy
+from carrl.evaluation.rollout import rollout_laps, rule_policy
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import ContinuousActions, DiscreteActions
 from carrl.tracks.centreline import Centreline
@@ -82,7 +82,7 @@ def test_the_best_lap_of_the_oval_is_clean_and_turns_little_more_than_once_round
     turned = np.unwrap(best.poses[:, 2])
     assert turns >= round(abs(turned[-1] - turned[0]) / world.vehicle.yaw_per_step)
     assert 2 * math.pi - math.radians(20) < turns * world.vehicle.yaw_per_step < 2 * math.pi + math.radians(20)
-    (rule,) = drive(world, world.simulator(world.track), rule_policy)
+    (rule,) = rollout_laps(world, world.simulator(world.track), rule_policy)
     assert rule.lap_completed and rule.near_wall_share == 0
     assert (turns, switches) < counts(rule.actions)[:2]
 

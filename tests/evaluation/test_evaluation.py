@@ -7,7 +7,7 @@ import torch
 
 from carrl import Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError
-from carrl.evaluation.rollout import drive, random_policy, rollout, rule_policy
+from carrl.evaluation.rollout import random_policy, rollout, rollout_laps, rule_policy
 from carrl.sim.simulator import Simulator
 from tests.worlds import make_world
 
@@ -40,20 +40,20 @@ def zig_zag_policy():
 
 @pytest.mark.parametrize("track", ["oval", "paper", "serpentine"])
 def test_the_rule_laps_every_built_in_track_from_everywhere(track):
-    drives = drive(WORLD, make_simulator(track), rule_policy, starts=4)
+    drives = rollout_laps(WORLD, make_simulator(track), rule_policy, starts=4)
     assert all(attempt.lap_completed and not attempt.collided for attempt in drives)
     assert all(attempt.progress == 1.0 for attempt in drives)
 
 
 def test_a_clean_lap_earns_50_for_each_gate():
-    (attempt,) = drive(WORLD, make_simulator("oval"), rule_policy)
+    (attempt,) = rollout_laps(WORLD, make_simulator("oval"), rule_policy)
     assert attempt.near_wall_share == 0
     assert attempt.lap_reward == 8 * 50
 
 
 def test_the_measures_agree_with_the_environments_own_rewards():
     simulator = make_simulator()
-    (attempt,) = drive(WORLD, simulator, rule_policy)
+    (attempt,) = rollout_laps(WORLD, simulator, rule_policy)
     env = TrackEnv(sensor=Sensor(max_range=10.0))
     state = env.reset()
     total = 0.0
@@ -65,7 +65,7 @@ def test_the_measures_agree_with_the_environments_own_rewards():
 
 
 def test_a_car_that_never_steers_crashes_at_the_first_turn():
-    (attempt,) = drive(WORLD, make_simulator(), forward_policy)
+    (attempt,) = rollout_laps(WORLD, make_simulator(), forward_policy)
     assert attempt.collided and not attempt.lap_completed
     assert attempt.lap_reward <= -200 + 50
     assert 0.05 < attempt.progress < 0.25
@@ -74,7 +74,7 @@ def test_a_car_that_never_steers_crashes_at_the_first_turn():
 
 
 def test_zig_zag_is_counted_as_switches():
-    (attempt,) = drive(WORLD, make_simulator(), zig_zag_policy())
+    (attempt,) = rollout_laps(WORLD, make_simulator(), zig_zag_policy())
     assert attempt.forward_share == 0
     steps = attempt.lap_steps
     assert attempt.switches_per_100m == pytest.approx(100 * (steps - 1) / steps)
@@ -83,7 +83,7 @@ def test_zig_zag_is_counted_as_switches():
 
 def test_a_car_that_circles_is_stopped_by_the_time_limit():
     simulator = make_simulator("oval", turn_radius=2.0)
-    (attempt,) = drive(WORLD, simulator, left_policy)
+    (attempt,) = rollout_laps(WORLD, simulator, left_policy)
     assert not attempt.collided and not attempt.lap_completed
     assert attempt.lap_steps == 2 * simulator.lap_steps
     assert attempt.progress < 0.05
@@ -91,34 +91,34 @@ def test_a_car_that_circles_is_stopped_by_the_time_limit():
 
 def test_cars_driven_together_drive_as_they_would_alone():
     simulator = make_simulator()
-    together = drive(WORLD, simulator, rule_policy, starts=5)
+    together = rollout_laps(WORLD, simulator, rule_policy, starts=5)
     assert [attempt.start for attempt in together] == pytest.approx([k * simulator.track.length / 5 for k in range(5)])
-    (first,) = drive(WORLD, simulator, rule_policy)
+    (first,) = rollout_laps(WORLD, simulator, rule_policy)
     assert together[0].measures() == first.measures()
 
 
 def test_the_random_policy_repeats_itself_for_the_same_seed():
-    first, second = (drive(WORLD, make_simulator(), random_policy(3, WORLD.action))[0] for _ in range(2))
+    first, second = (rollout_laps(WORLD, make_simulator(), random_policy(3, WORLD.action))[0] for _ in range(2))
     assert first.measures() == second.measures()
 
 
 def test_no_start_place_is_refused():
     with pytest.raises(ConfigError, match="starts is 0"):
-        drive(WORLD, make_simulator(), rule_policy, starts=0)
+        rollout_laps(WORLD, make_simulator(), rule_policy, starts=0)
 
 
 def test_several_tracks_driven_together_are_driven_as_each_alone():
     names = ("oval", "serpentine", "paper")
     together = Simulator([Track.load(name) for name in names], Vehicle(), Sensor(max_range=10.0))
-    drives = drive(WORLD, together, rule_policy, starts=2)
-    alone = [attempt for name in names for attempt in drive(WORLD, make_simulator(name), rule_policy, starts=2)]
+    drives = rollout_laps(WORLD, together, rule_policy, starts=2)
+    alone = [attempt for name in names for attempt in rollout_laps(WORLD, make_simulator(name), rule_policy, starts=2)]
     assert [attempt.measures() for attempt in drives] == [attempt.measures() for attempt in alone]
 
 
 def test_each_car_has_the_time_limit_of_its_own_track():
     tracks = [Track.load("oval"), Track.load("serpentine")]
     simulator = Simulator(tracks, Vehicle(turn_radius=1.0), Sensor(max_range=10.0))
-    drives = drive(WORLD, simulator, left_policy)
+    drives = rollout_laps(WORLD, simulator, left_policy)
     assert [attempt.lap_steps for attempt in drives] == [2 * math.ceil(track.length) for track in tracks]
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from carrl.evaluation.results import Trial, mean_interval, rate_interval, share_interval, tally
-from carrl.evaluation.rollout import drive, rule_policy
+from carrl.evaluation.results import EvaluationResult, aggregate, mean_interval, rate_interval, share_interval
+from carrl.evaluation.rollout import rollout_laps, rule_policy
 from tests.worlds import make_world
 
 Z = 1.959964
@@ -16,7 +16,7 @@ Z = 1.959964
 def lap():
     """A complete lap of the oval by the rule."""
     world = make_world("oval")
-    (found,) = drive(world, world.simulator(world.track), rule_policy)
+    (found,) = rollout_laps(world, world.simulator(world.track), rule_policy)
     return found
 
 
@@ -27,12 +27,12 @@ def crash(lap):
 
 
 def test_a_trial_on_one_track_has_its_drives_own_measures(lap):
-    assert Trial((lap,)).measures() == lap.measures()
-    assert Trial((lap,)).lap_completed
+    assert EvaluationResult((lap,)).measures() == lap.measures()
+    assert EvaluationResult((lap,)).lap_completed
 
 
 def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
-    trial = Trial((lap, crash, lap))
+    trial = EvaluationResult((lap, crash, lap))
     assert not trial.lap_completed
     measures = trial.measures()
     assert (measures["circuits"], measures["laps_completed"]) == (3, 2)
@@ -43,27 +43,27 @@ def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_only_the_trajectory_of_the_drive_to_look_at_is_kept(kept, lap, crash):
-    trial = Trial((lap, crash, lap)).with_trajectory(kept)
-    assert trial.measures() == Trial((lap, crash, lap)).measures()
-    steps = [len(drive.actions) for drive in trial.drives]
+    trial = EvaluationResult((lap, crash, lap)).with_trajectory(kept)
+    assert trial.measures() == EvaluationResult((lap, crash, lap)).measures()
+    steps = [len(drive.actions) for drive in trial.rollouts]
     assert steps == [0, len(crash.actions) if kept else 0, 0]
-    assert [len(drive.poses) for drive in trial.drives] == [0, steps[1] + 1 if kept else 0, 0]
-    assert all(array.base is None for drive in trial.drives for array in (drive.poses, drive.ranges, drive.actions))
-    loaded = Trial.from_state_dict(trial.state_dict())
+    assert [len(drive.poses) for drive in trial.rollouts] == [0, steps[1] + 1 if kept else 0, 0]
+    assert all(array.base is None for drive in trial.rollouts for array in (drive.poses, drive.ranges, drive.actions))
+    loaded = EvaluationResult.from_state_dict(trial.state_dict())
     assert loaded.measures() == trial.measures()
-    assert (loaded.drives[1].ranges == trial.drives[1].ranges).all()
+    assert (loaded.rollouts[1].ranges == trial.rollouts[1].ranges).all()
 
 
 def test_more_laps_are_better_than_more_progress(lap, crash):
     hopeless = replace(crash, progress=0.0)
-    one_lap, none = Trial((lap, hopeless)), Trial((replace(crash, progress=0.9),) * 2)
+    one_lap, none = EvaluationResult((lap, hopeless)), EvaluationResult((replace(crash, progress=0.9),) * 2)
     assert one_lap.quality > none.quality
-    assert Trial((lap, crash)).quality > one_lap.quality
-    assert Trial((lap,)).quality > Trial((replace(lap, lap_reward=lap.lap_reward - 20),)).quality
+    assert EvaluationResult((lap, crash)).quality > one_lap.quality
+    assert EvaluationResult((lap,)).quality > EvaluationResult((replace(lap, lap_reward=lap.lap_reward - 20),)).quality
 
 
 def test_figures_of_drives_are_counts_rates_and_means(lap, crash):
-    figures = tally([[lap, crash]], step_length=1.0)
+    figures = aggregate([[lap, crash]], step_length=1.0)
     km = (lap.lap_steps + crash.lap_steps) / 1000
     assert (figures["starts"], figures["laps_completed"], figures["collisions"]) == (2, 1, 1)
     assert figures["collisions_per_km"] == pytest.approx(1 / km)
@@ -75,7 +75,7 @@ def test_figures_of_drives_are_counts_rates_and_means(lap, crash):
 
 
 def test_the_interval_of_several_runs_is_that_of_their_means(lap, crash):
-    figures = tally([[lap, crash], [lap, crash]], step_length=1.0)
+    figures = aggregate([[lap, crash], [lap, crash]], step_length=1.0)
     assert figures["intervals"]["progress"] == (0.75, 0.75)
     assert figures["starts"] == 4
 

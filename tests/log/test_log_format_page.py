@@ -17,7 +17,7 @@ from carrl.log.schema import (
     METRICS,
     small_message_class,
 )
-from carrl.train.provenance import log_schema
+from carrl.train.callbacks import log_schema
 
 PAGE = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text()
 SCHEMA = log_schema(carrl.TrackEnv(), dqn_columns(("forward", "left", "right")))

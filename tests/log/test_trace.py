@@ -11,7 +11,7 @@ import torch
 
 import carrl
 from carrl.cli.main import main
-from carrl.data.episodes import EpisodeTracker
+from carrl.data.source import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Column, Log, read_trace
 from carrl.log.messages import Episode
@@ -20,9 +20,9 @@ from carrl.log.trace import read_scene
 from carrl.log.writer import LogWriter
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ContinuousActions
+from carrl.task.episode import Start
 from carrl.task.reward import Collision, Gate, Reward
-from carrl.task.start import Start
-from carrl.train.provenance import describe_run, log_schema, scene_of
+from carrl.train.callbacks import describe_run, log_schema, scene_of
 from tests.logs import dqn_columns, make_schema
 
 ROUNDS = 60
@@ -46,7 +46,7 @@ def drive(path, env, schema, rounds, choose, first=0):
             batch["exploratory"] = torch.arange(len(batch)) == 0
             batch["log_prob"] = torch.full((len(batch),), -1.5, dtype=torch.float64)
             if number >= first:
-                writer.write(batch.select(*writer.keys))
+                writer.write(batch.select(*schema.keys))
             for episode in episodes:
                 writer.write_episode(episode)
             steps.append(batch)

@@ -12,18 +12,19 @@ from carrl.errors import CarrlError
 from carrl.render.colours import BLACK, BLUE, GREEN, LIGHT, VERMILLION, YELLOW, rgb
 from carrl.render.curves import (
     DOT,
+    DPI,
     RunCurve,
     block_centres,
     block_means,
     common_bounds,
     draw_learning_curve,
     draw_learning_curves,
+    new_figure,
+    round_number,
+    save_figure,
 )
-from carrl.render.figure import DPI, new_figure, save_figure
-from carrl.render.lap import draw_lap, prevailing_actions
+from carrl.render.lap import TrackMap, draw_lap, draw_track_map, prevailing_actions
 from carrl.render.scene import ray_ends
-from carrl.render.ticks import round_number
-from carrl.render.track_map import TrackMap, draw_track_map
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from carrl.report.statistics import (
+from carrl.report.measures import (
     holm,
     improvement,
     iqm,

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from carrl.tracks.centreline import Centreline
-from carrl.tracks.drawing import rounded_polygon
+from carrl.tracks.drawing_file import rounded_polygon
 from carrl.tracks.track import Track
 
 Walls = list[tuple[tuple[float, float], tuple[float, float]]]

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from numba.core import event
 from torch import Tensor
 
+from carrl.sim.collision_geometry import CollisionGeometry, TrackLayout
 from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.kernels import Kernels
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.terrain import Plot, Terrain
 from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
 from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import random_poses, random_track
@@ -65,13 +65,15 @@ def ring_of_walls(corners: int, radius: float) -> Tensor:
     return torch.stack([points, points.roll(-1, 0)], dim=1)
 
 
-def terrain_of(walls: Tensor, reach: float) -> Terrain:
-    gates, level_of_gate = torch.tensor([[[0.0, 1.0], [0.0, -1.0]]]), torch.zeros(1, dtype=torch.int64)
-    return Terrain.join([Plot(walls, gates, torch.ones(1, len(walls)).bool(), level_of_gate)], reach, touch=1.5)
+def geometry_of(walls: Tensor, reach: float) -> CollisionGeometry:
+    gates, deck_of_gate = torch.tensor([[[0.0, 1.0], [0.0, -1.0]]]), torch.zeros(1, dtype=torch.int64)
+    return CollisionGeometry.join(
+        [TrackLayout(walls, gates, torch.ones(1, len(walls)).bool(), deck_of_gate)], reach, touch=1.5
+    )
 
 
 def kernels_among(walls: Tensor, angles: Tensor, max_range: float = 20.0) -> Kernels:
-    return Kernels(terrain_of(walls, max(max_range, 1.5)), angles, max_range, Vehicle(), most_gates=1)
+    return Kernels(geometry_of(walls, max(max_range, 1.5)), angles, max_range, Vehicle(), most_gates=1)
 
 
 def sense_among(walls: Tensor, angles: Tensor, pose: Tensor, max_range: float = 20.0) -> Tensor:
@@ -313,7 +315,7 @@ def test_a_copy_of_a_simulator_steps_like_the_original(copied):
 
 
 DOUBLED = """
-from carrl.sim.machine_code import compiled
+from carrl.sim.vehicle import compiled
 @compiled
 def doubled(value):
     return 2 * value

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 from torchrl.envs.utils import check_env_specs
 
 from carrl import ContinuousActions, DiscreteActions, GymTrackEnv, Sensor, Start, TrackEnv, rays_and_last_action
-from carrl.evaluation.rollout import drive, random_policy, rule_policy
+from carrl.evaluation.rollout import random_policy, rollout_laps, rule_policy
 from carrl.task.reward import LAP_TERMS, Collision, Gate, Proximity, Reward, Shaping, Steering
 from tests.sim.vehicles import Interpreted, Odometer
 from tests.worlds import make_world
@@ -147,7 +147,7 @@ def test_a_fourth_entry_goes_through_evaluation():
     laps = []
     for vehicle in (Odometer(), Interpreted()):
         world = make_world("paper", vehicle=vehicle, reward=Reward(TERMS))
-        laps.append(drive(world, world.simulator(world.track), rule_policy, starts=3))
+        laps.append(rollout_laps(world, world.simulator(world.track), rule_policy, starts=3))
     assert [lap.measures() for lap in laps[0]] == [lap.measures() for lap in laps[1]]
     assert laps[0][0].lap_completed
     assert laps[0][0].poses.shape == (laps[0][0].lap_steps + 1, 3)
@@ -184,7 +184,7 @@ def test_every_term_is_the_same_in_evaluation_as_in_the_environment(track, stead
     recorded = {name: Recorded(term) for name, term in TERMS.items()}
     world = make_world(track, reward=Reward(recorded))
     policy = rule_policy if steady else unsteady(rule_policy, world)
-    (attempt,) = drive(world, world.simulator(world.track), policy)
+    (attempt,) = rollout_laps(world, world.simulator(world.track), policy)
     evaluated = torch.stack([torch.cat(term.paid) for term in recorded.values()], dim=-1)
     env = TrackEnv(track, sensor=Sensor(max_range=10.0), reward=Reward(TERMS))
     state, paid = env.reset(), []
@@ -203,7 +203,7 @@ def test_every_term_is_the_same_in_evaluation_as_in_the_environment(track, stead
 @pytest.mark.parametrize("own", [PARTS["steer5"], PARTS["continuous"]], ids=["steer5", "continuous"])
 def test_evaluation_drives_with_other_actions(own):
     world = make_world("oval", **own)
-    attempts = [drive(world, world.simulator(world.track), random_policy(3, world.action))[0] for _ in range(2)]
+    attempts = [rollout_laps(world, world.simulator(world.track), random_policy(3, world.action))[0] for _ in range(2)]
     assert attempts[0].measures() == attempts[1].measures()
     assert len(attempts[0].actions) == attempts[0].lap_steps > 5
     assert attempts[0].steering_reward < 0

@@ -144,7 +144,7 @@ def test_waypoints_are_closed_and_have_the_inner_border_first_as_those_of_aws(tm
 @pytest.mark.parametrize(
     ("name", "resolution", "says"),
     [("a.txt", None, "must end in .csv, .yaml"), ("a.csv", 0.1, "a resolution is for maps"),
-     ("a.png", 0.0, "the resolution is 0"), ("a.png", 1e-3, "has more than 33,554,432; use a coarser --resolution")],
+     ("a.png", 0.0, "the resolution is 0"), ("a.png", 1e-3, "has more than 16,777,216; use a coarser --resolution")],
 )  # fmt: skip
 def test_a_conversion_that_cannot_be_is_refused(tmp_path, name, resolution, says):
     with pytest.raises(TrackError, match=says):

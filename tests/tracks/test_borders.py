@@ -43,7 +43,7 @@ def test_a_border_that_runs_ahead_is_cut_abreast_of_the_centre(load, skew: float
     assert report.width_max == pytest.approx(1.0, abs=0.01)
     gates = (track.gates[:, 0] - track.gates[:, 1]).norm(dim=1)
     torch.testing.assert_close(gates, torch.ones_like(gates), atol=0.01, rtol=0)
-    room = track.room_at(torch.linspace(0, track.length, 50))
+    room = track.clearance_at(torch.linspace(0, track.length, 50))
     torch.testing.assert_close(room, torch.full_like(room, 0.5), atol=0.01, rtol=0)
 
 

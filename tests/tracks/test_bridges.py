@@ -9,7 +9,7 @@ import torch
 from shapely import LineString
 
 from carrl.errors import TrackError
-from carrl.tracks.bridges import MARGIN, Bridge, on_stretch, on_two_levels
+from carrl.tracks.bridges import MARGIN, Bridge, on_stretch, on_two_decks
 from carrl.tracks.centreline import Centreline
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
@@ -25,7 +25,7 @@ def assert_the_stretches_hold_all_walls_that_meet(track: Track) -> None:
         apart = abs(stations[one] - stations[other])
         if min(apart, track.length - apart) > 30 and lines[one].intersects(lines[other]):
             pair = stations[[one]], stations[[other]]
-            assert on_two_levels(track.bridges, track.length, *pair)[0]
+            assert on_two_decks(track.bridges, track.length, *pair)[0]
             meeting += 1
     assert meeting >= 4
 
@@ -100,7 +100,7 @@ def test_suzuka_has_one_bridge_and_no_faults(real_circuits: Path):
 
 def test_gates_and_rooms_of_a_figure_eight_are_as_on_any_road():
     track = figure_eight()
-    room = track.room_at(torch.arange(0, track.length, 3.0))
+    room = track.clearance_at(torch.arange(0, track.length, 3.0))
     torch.testing.assert_close(room, torch.full_like(room, 4.0), atol=0.15, rtol=0)
     assert track.gate_count == round(track.length / 30)
 

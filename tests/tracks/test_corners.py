@@ -8,7 +8,7 @@ import pytest
 from shapely import LinearRing
 
 from carrl.tracks.centreline import Centreline
-from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.random_track import CORNER_RADIUS, LENGTH, WIDTH, random_centrelines
 from carrl.tracks.track import Track

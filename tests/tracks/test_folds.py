@@ -5,8 +5,8 @@ import pytest
 import torch
 from shapely import LinearRing, LineString, Point
 
+from carrl.tracks.bridges import count_folds, cut_folds
 from carrl.tracks.centreline import Centreline
-from carrl.tracks.crossings import count_folds, cut_folds
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 from tests.sim.shapes import random_track, rounded_road

@@ -15,7 +15,7 @@ from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle
 from carrl.tracks import centreline
 from carrl.tracks.centreline import Centreline
-from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import straight_road_track
@@ -435,14 +435,14 @@ def test_a_wall_stands_beside_the_middle_of_its_segment(name: str):
 
 def test_the_room_beside_a_straight_is_the_widths_of_the_file(load_text):
     track = load_text(HEADER + SQUARE)
-    room = track.room_at(torch.tensor([20.0, 20.0 + track.length, 60.0]))
+    room = track.clearance_at(torch.tensor([20.0, 20.0 + track.length, 60.0]))
     assert room.dtype == torch.float64
     np.testing.assert_allclose(room.numpy(), [[3, 2]] * 3, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", builtin_names())
 def test_the_room_of_a_builtin_track_is_half_its_width_everywhere(name: str):
-    room = Track.load(name).room_at(torch.arange(0, 200, 0.7))
+    room = Track.load(name).clearance_at(torch.arange(0, 200, 0.7))
     torch.testing.assert_close(room, torch.full_like(room, DRAWINGS[name].width / 2), atol=0.1, rtol=0)
 
 
@@ -458,7 +458,9 @@ def test_a_mirrored_track_turns_right_where_the_track_turns_left():
     assert torch.equal(mirrored.left_wall, track.right_wall * flip)
     assert torch.equal(mirrored.gates, track.gates.flip(1) * flip)
     assert mirrored.length == track.length
-    torch.testing.assert_close(mirrored.room_at(torch.tensor([50.0])), track.room_at(torch.tensor([50.0])).flip(1))
+    torch.testing.assert_close(
+        mirrored.clearance_at(torch.tensor([50.0])), track.clearance_at(torch.tensor([50.0])).flip(1)
+    )
 
 
 def test_a_reversed_track_has_the_same_gates_in_reverse_order_and_the_same_start_line():
@@ -471,7 +473,7 @@ def test_a_reversed_track_has_the_same_gates_in_reverse_order_and_the_same_start
     there, back = track.pose_at(stations), turned.pose_at(track.length - stations)
     torch.testing.assert_close(back[:, :2], there[:, :2], atol=1e-4, rtol=0)
     assert (torch.cos(back[:, 2] - there[:, 2]) < -0.999).all()
-    torch.testing.assert_close(turned.room_at(track.length - stations), track.room_at(stations).flip(1))
+    torch.testing.assert_close(turned.clearance_at(track.length - stations), track.clearance_at(stations).flip(1))
 
 
 @pytest.mark.parametrize("change", [Track.mirrored, Track.reversed])

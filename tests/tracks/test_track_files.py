@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from carrl.errors import TrackError
-from carrl.tracks.drawing import DRAWINGS
+from carrl.tracks.drawing_file import DRAWINGS
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 
@@ -169,7 +169,7 @@ def test_widths_may_change_from_point_to_point(load):
     track = load("ring.yaml", "points: [[50, 0, 4], [0, 50, 8], [-50, 0, 4], [0, -50, 8], [50, 0, 4]]\n")
     report = inspect_track(track)
     assert (report.width_min, report.width_max) == pytest.approx((4, 8), abs=0.05)
-    assert track.room_at(torch.zeros(1))[0].tolist() == pytest.approx([2, 2], abs=0.05)
+    assert track.clearance_at(torch.zeros(1))[0].tolist() == pytest.approx([2, 2], abs=0.05)
 
 
 def test_a_drawn_line_may_cross_itself_on_a_bridge(load):

@@ -66,7 +66,7 @@ def test_loss_dueling_is_double_dqn_with_the_dueling_network():
 
 REFUSED = [
     (["replay_buffer=prioritized", "loss=cql"], "loss is cql, whose conservative term weighs all transitions alike"),
-    (["loss=distributional", "network.hidden_sizes=[64,64]"], "loss is distributional, and the network is not"),
+    (["loss=distributional", "network=noisy"], "loss is distributional, and the network is not"),
     (["network=distributional"], "network is distributional, which loss=distributional alone can train"),
     (["network=distributional", "loss=cql"], "network is distributional, which loss=distributional alone can train"),
     (["loss=dueling", "network=noisy"], "loss is dueling, and the network is not"),

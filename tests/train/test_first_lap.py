@@ -7,8 +7,8 @@ import pytest
 
 from carrl.cli.text.console import print_summaries, print_summary
 from carrl.cli.text.many_runs import _figures, _result
-from carrl.evaluation.results import Trial
-from carrl.evaluation.rollout import drive, rule_policy
+from carrl.evaluation.results import EvaluationResult
+from carrl.evaluation.rollout import rollout_laps, rule_policy
 from carrl.report.findings import find
 from carrl.report.text import runs_table
 from carrl.train.build import build_pipeline
@@ -26,15 +26,15 @@ from tests.worlds import make_world
 def lap():
     """A trial that completes its lap, driven by the rule."""
     world = make_world("oval")
-    (found,) = drive(world, world.simulator(world.track), rule_policy)
-    return Trial((found,))
+    (found,) = rollout_laps(world, world.simulator(world.track), rule_policy)
+    return EvaluationResult((found,))
 
 
 @pytest.fixture(scope="module")
 def crash(lap):
     """A trial that ends at a wall."""
-    (found,) = lap.drives
-    return Trial((replace(found, lap_completed=False, collided=True, progress=0.5),))
+    (found,) = lap.rollouts
+    return EvaluationResult((replace(found, lap_completed=False, collided=True, progress=0.5),))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_agents_side_by_side_confirm_their_own_laps(lap, crash, tmp_path, monkey
         for seed in (0, 1):
             (tmp_path / str(seed)).mkdir()
         trainer = Trainer(pipeline, [stack.enter_context(RunFolder(tmp_path / str(seed))) for seed in (0, 1)])
-        trainer.run(lambda _: None)
+        trainer.run()
     assert [run.first_lap.frame for run in trainer.runs] == [128, 160]
     assert trainer.summaries()[1]["first_lap"].keys() == {"episode", "frame", "wall_time_s"}
 
@@ -104,7 +104,7 @@ def test_a_network_that_learnt_from_logs_is_driven_once_and_has_no_first_lap(lap
     monkeypatch.setattr(Evaluator, "drive", lambda *_: [lap])
     with RunFolder(tmp_path / "run") as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run(lambda _: None)
+        trainer.run()
     (summary,) = trainer.summaries()
     assert (summary["first_lap"], summary["evaluation"]["lap_completed"]) == (None, True)
 

@@ -18,6 +18,7 @@ from carrl.train.plan import OfflinePlan
 from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.data.logs import logged_transitions, write_log
+from tests.train.rounds import AfterRounds
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
 
@@ -39,7 +40,7 @@ def train(pipeline, folder, on_round=lambda _: None):
         seeds = [agent.seed for agent in pipeline.algorithm.replicates]
         paths = [folder / str(seed) if len(seeds) > 1 else folder for seed in seeds]
         trainer = Trainer(pipeline, [stack.enter_context(RunFolder(path)) for path in paths])
-        trainer.run(on_round)
+        trainer.run([AfterRounds(on_round)])
     return trainer
 
 

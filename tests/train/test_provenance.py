@@ -7,8 +7,7 @@ from importlib.metadata import version
 import pytest
 
 import carrl
-from carrl.train import provenance
-from carrl.train.provenance import describe_run, git_commit
+from carrl.train.callbacks import describe_run, git_commit
 
 
 def test_the_entries_name_seed_track_and_packages():
@@ -26,7 +25,7 @@ def checkout(tmp_path, monkeypatch):
     package = tmp_path / "carrl" / "__init__.py"
     package.parent.mkdir()
     package.write_text("")
-    monkeypatch.setattr(provenance.carrl, "__file__", str(package))
+    monkeypatch.setattr(carrl, "__file__", str(package))
 
     def git(*arguments):
         identity = ("-c", "user.name=a", "-c", "user.email=a@b")
@@ -46,7 +45,7 @@ def test_the_commit_is_that_of_the_checkout_and_says_whether_files_differ(checko
 
 
 def test_without_a_repository_there_is_no_commit(tmp_path, monkeypatch):
-    monkeypatch.setattr(provenance.carrl, "__file__", str(tmp_path / "carrl" / "__init__.py"))
+    monkeypatch.setattr(carrl, "__file__", str(tmp_path / "carrl" / "__init__.py"))
     assert git_commit() is None
 
 

@@ -11,8 +11,8 @@ import torch
 import carrl
 from carrl.cli.main import main
 from carrl.errors import CarrlError, CheckpointError, ConfigError
+from carrl.train.callbacks import Callback
 from carrl.train.checkpoint import load_checkpoint
-from carrl.train.experiment import Observer
 from carrl.train.files import checkpoint_path
 
 TINY = ["track=oval", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80", "compile=false"]
@@ -100,7 +100,7 @@ def test_a_run_goes_on(tmp_path):
 
 
 def test_observers_follow_and_may_stop(tmp_path):
-    class Stopper(Observer):
+    class Stopper(Callback):
         rounds, has_ended = 0, False
 
         def on_round(self, trainer):
@@ -112,7 +112,7 @@ def test_observers_follow_and_may_stop(tmp_path):
             self.has_ended = True
 
     stopper = Stopper()
-    run = carrl.train("fast", overrides=TINY, folder=tmp_path / "run", observers=[stopper])
+    run = carrl.train("fast", overrides=TINY, folder=tmp_path / "run", callbacks=[stopper])
     assert (stopper.rounds, stopper.has_ended) == (10, True)
     assert (run.summary["frames"], run.summary["finished"]) == (80, False)
 

@@ -12,11 +12,12 @@ from carrl.errors import CarrlError, ConfigError
 from carrl.log import load
 from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
+from carrl.train.callbacks import log_schema
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
-from carrl.train.provenance import log_schema
 from carrl.train.trainer import Trainer
 from tests.configs import compose
+from tests.train.rounds import AfterRounds
 
 
 def train(folder, *overrides):
@@ -32,7 +33,7 @@ def train(folder, *overrides):
             recorder = LogWriter(path / "train.mcap", schema=schema, attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
         trainer = Trainer(pipeline, folders)
-        trainer.run(lambda _: None)
+        trainer.run()
     return trainer, pipeline
 
 
@@ -73,7 +74,7 @@ def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs)
     agent.target_updater.step = watched_step
     with RunFolder(tmp_path) as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run(lambda _: None)
+        trainer.run()
     # At 100 steps no update has been made yet (a batch is 128), so the copy at C changes nothing there.
     assert copies == [200, 300]
     assert sum(steps) == trainer.frames
@@ -162,7 +163,7 @@ def test_stop_ends_the_run_after_the_round(tmp_path):
     pipeline = build_pipeline(compose("env.num_envs=4"))
     with RunFolder(tmp_path) as folder:
         trainer = Trainer(pipeline, [folder])
-        trainer.run(lambda running: running.stop() if running.frames >= 40 else None)
+        trainer.run([AfterRounds(lambda running: running.stop() if running.frames >= 40 else None)])
     assert trainer.frames == 40
     assert trainer.runs[0].last is None
     assert (tmp_path / "checkpoints" / "last.pt").exists()
@@ -223,10 +224,10 @@ def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploratio
     assert names == ["random-1000", "random-1001", "random-1002"]
     assert [track.name for track in pipeline.world.circuits.validation] == ["random-1003", "random-1004"]
     (run,) = trainer.runs
-    assert len(run.best.drives) == 2
+    assert len(run.best.rollouts) == 2
     rows = read_rows(tmp_path / "evaluations.csv")
     assert [row["circuits"] for row in rows] == ["2", "2"]
-    assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.drives) / 2)
+    assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.rollouts) / 2)
 
 
 def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):

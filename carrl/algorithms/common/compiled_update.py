@@ -4,7 +4,7 @@ Shapes: `A` replicates, `N` transitions of a minibatch.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -13,7 +13,6 @@ from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 
 from carrl.algorithms.algorithm import FunctionalUpdate, Tree, UpdateResult
 from carrl.algorithms.common.native import CompilationError, compile_native
-from carrl.algorithms.common.stack import stack_in_place
 
 
 class CompiledUpdate:
@@ -42,13 +41,16 @@ class CompiledUpdate:
         fixed = {"constants": _stacked(update.constants), "memory": dict(memory)}
         self._fixed = tree_flatten({"state": state, **fixed})[0]
         given = self._given(items, torch.ones(items.shape))
+        self._has_inputs = bool(tree_flatten(given["inputs"])[0])
         scratch = tree_map(torch.clone, state)  # which the tracing may change
         inputs, self._names = tree_flatten(({"state": scratch, **fixed}, given))
         self._call = compile_native(self._all_replicates, inputs)
 
     def __call__(self, items: Tensor, weights: Tensor | None) -> UpdateResult:
         """Updates on the transitions at these places of the memory, [N, A], with these weights, [N, A]."""
-        results = self._call([*self._fixed, *tree_flatten(self._given(items, weights))[0]])
+        drawn = [items] if weights is None else [items, weights]  # in the order of `_given`, without flattening it
+        made = tree_flatten(_stacked(self._update.inputs()))[0] if self._has_inputs else []
+        results = self._call([*self._fixed, *drawn, *made])
         return UpdateResult(results[0], results[1].T if self._weighted else None)
 
     def _given(self, items: Tensor, weights: Tensor | None) -> Tree:
@@ -84,51 +86,24 @@ def _stacked(trees: Sequence[Tree], stack: Any = torch.stack) -> Tree:
     return stacked
 
 
-class Adam(NamedTuple):
-    """What a functional update needs of torch's Adam, the same for all replicates.
+def stack_in_place(tensors: Sequence[Tensor]) -> Tensor:
+    """One tensor [A, ...] of which each of these, alike in shape and type, is a row from now on.
 
-    Source: Kingma and Ba 2015, "Adam: A Method for Stochastic Optimization", Algorithm 1.
+    Whoever holds one of them, be it a module, a loss or an optimizer, goes on working with it as before. Tensors that
+    are the rows of one already stay where they are, so several holders of the same ones share one stack.
     """
+    first = tensors[0].detach()
+    if all(_is_row(tensor, first, row) for row, tensor in enumerate(tensors)):
+        return first.as_strided((len(tensors), *first.shape), (first.numel(), *first.stride()))
+    stacked = torch.stack([tensor.detach() for tensor in tensors])
+    for tensor, row in zip(tensors, stacked, strict=True):
+        tensor.data = row
+    return stacked
 
-    lr: float
-    beta_1: float
-    beta_2: float
-    eps: float
 
-    @classmethod
-    def of(cls, optimizer: torch.optim.Optimizer) -> "Adam":
-        """What an optimizer does.
-
-        Raises:
-            CompilationError: it is not plain Adam with one group of parameters.
-        """
-        if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
-            raise CompilationError(f"the optimizer is {type(optimizer).__name__}, not Adam with one group")
-        (group,) = optimizer.param_groups
-        extras = [name for name in ("weight_decay", "amsgrad", "maximize", "decoupled_weight_decay") if group[name]]
-        if extras:
-            raise CompilationError(f"the optimizer uses {', '.join(extras)}")
-        beta_1, beta_2 = group["betas"]
-        return cls(group["lr"], beta_1, beta_2, group["eps"])
-
-    @staticmethod
-    def state_of(optimizer: torch.optim.Optimizer, parameters: Mapping[Any, Tensor]) -> Tree:
-        """Its state, by `step`, `exp_avg` and `exp_avg_sq`, and by the parameters' names; it has made a step."""
-        names = ("step", "exp_avg", "exp_avg_sq")
-        return {name: {key: optimizer.state[each][name] for key, each in parameters.items()} for name in names}
-
-    def step(self, parameters: Tree, gradients: Tree, state: Tree, lr: float | Tensor | None = None) -> tuple[Any, Any]:
-        """One replicate's parameters and the optimizer's state after a step."""
-        rate = self.lr if lr is None else lr
-        moved: dict[Any, Tensor] = {}
-        after: dict[str, dict[Any, Tensor]] = {name: {} for name in state}
-        for key, value in parameters.items():
-            gradient, step = gradients[key], state["step"][key] + 1
-            average = state["exp_avg"][key].lerp(gradient, 1 - self.beta_1)
-            square = torch.addcmul(state["exp_avg_sq"][key] * self.beta_2, gradient, gradient, value=1 - self.beta_2)
-            taken = step.double()
-            unbiased = average / (1 - self.beta_1**taken).to(average.dtype)
-            scale = (square / (1 - self.beta_2**taken).to(square.dtype)).sqrt() + self.eps
-            moved[key] = value - rate * unbiased / scale
-            after["step"][key], after["exp_avg"][key], after["exp_avg_sq"][key] = step, average, square
-        return moved, after
+def _is_row(tensor: Tensor, first: Tensor, row: int) -> bool:
+    return (
+        tensor.is_contiguous()
+        and tensor.untyped_storage().data_ptr() == first.untyped_storage().data_ptr()
+        and tensor.storage_offset() == first.storage_offset() + row * first.numel()
+    )

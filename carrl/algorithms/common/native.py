@@ -1,13 +1,23 @@
-"""Compiles a function of tensors to native code once for this machine, and keeps the result between processes."""
+"""Compiles a function of tensors to native code once for this machine, and keeps the result between processes.
 
+It is kept in a folder that only its user can write to, checked and bounded:
+
+    FINGERPRINT.SHA256.pt2    a package, named after what was compiled and after its own bytes
+    work-XXXXXXXX/            all that the compiler and the loader write while they are at work, and nowhere else
+    work-XXXXXXXX.lock        locked by the process that works there, so that the left-overs of killed ones are known
+"""
+
+import fcntl
 import hashlib
 import logging
 import os
 import platform
 import shutil
+import stat
+import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +25,6 @@ import torch
 from torch import Tensor
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
-
-from carrl.algorithms.common.package_cache import (
-    CacheError,
-    delete_package,
-    find_package,
-    keep_package,
-    open_cache,
-    workspace,
-)
 
 _logger = logging.getLogger(__name__)
 
@@ -129,3 +130,154 @@ def _forgotten_paths() -> Iterator[None]:
         yield
     finally:
         clear_caches()
+
+
+MAX_BYTES = 512 * 2**20
+"""Packages beyond this, about 140 of them, are forgotten, the least recently used first."""
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+_cache_logger = logging.getLogger(__name__)
+
+
+class CacheError(Exception):
+    """Compiled code cannot be kept in a place that is the user's alone; the message says why."""
+
+
+def cache_dir() -> Path:
+    """Where compiled code is kept: the user's own cache folder, for code in it is run."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "carrl"
+
+
+def open_cache() -> Path:
+    """The cache folder, made if need be, without what killed processes left in it.
+
+    Raises:
+        CacheError: others can write to it, or put another folder in its place.
+        OSError: it cannot be made.
+    """
+    folder = cache_dir()
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if not _is_own(folder.stat()):
+        raise CacheError(f"'{folder}' belongs to another user or can be written by others; remove it")
+    for parent in (*folder.parents, *folder.resolve().parents):
+        mode = parent.stat().st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            raise CacheError(f"'{folder}' can be replaced by others, who can write to '{parent}'; chmod o-w '{parent}'")
+    _remove_left_overs(folder)
+    return folder
+
+
+def find_package(cache: Path, fingerprint: str) -> Path | None:
+    """The package that is kept under this fingerprint, now the most recently used; None without one.
+
+    One whose bytes are not those that were kept is deleted.
+    """
+    for package in cache.glob(f"{fingerprint}.*.pt2"):
+        with suppress(FileNotFoundError):  # another process may forget it meanwhile
+            if _is_as_kept(package):
+                os.utime(package)
+                return package
+            delete_package(package, "is damaged")
+    return None
+
+
+def delete_package(package: Path, reason: str) -> None:
+    """Deletes a package that is no use; whoever needs its code compiles it again."""
+    _cache_logger.warning("Compiled code '%s' %s; it is deleted.", package, reason)
+    package.unlink(missing_ok=True)
+
+
+def keep_package(cache: Path, fingerprint: str, package: Path) -> None:
+    """Moves a package, which lies on the same disk, into the cache, and forgets others where there are too many.
+
+    Where another process has kept the same code meanwhile, that will do.
+    """
+    if find_package(cache, fingerprint) is not None:
+        return
+    package.chmod(0o600)
+    kept = cache / f"{fingerprint}.{_checksum(package)}.pt2"
+    os.replace(package, kept)
+    _forget_least_used(cache, kept)
+
+
+@contextmanager
+def workspace(cache: Path) -> Iterator[Path]:
+    """A private folder for temporary files of this process and of those that it starts; it is removed at the end."""
+    descriptor, lock = tempfile.mkstemp(prefix="work-", suffix=".lock", dir=cache)
+    folder = Path(lock).with_suffix("")
+    caches = {"TORCHINDUCTOR_CACHE_DIR": f"{folder}/inductor", "TRITON_CACHE_DIR": f"{folder}/triton"}
+    try:
+        _lock(descriptor)
+        folder.mkdir(mode=0o700)
+        with _environment({"TMPDIR": str(folder), **caches}):
+            yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        Path(lock).unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Sets environment variables for a while, and Python's own temporary folder to that in TMPDIR."""
+    before, folder_before = {name: os.environ.get(name) for name in variables}, tempfile.tempdir
+    os.environ.update(variables)
+    tempfile.tempdir = variables["TMPDIR"]
+    try:
+        yield
+    finally:
+        tempfile.tempdir = folder_before
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _remove_left_overs(cache: Path) -> None:
+    """Removes workspaces of processes that are gone: nobody holds their locks."""
+    for lock in cache.glob("work-*.lock"):
+        with suppress(FileNotFoundError), lock.open("rb") as file:
+            if _lock(file.fileno()):
+                shutil.rmtree(lock.with_suffix(""), ignore_errors=True)
+                lock.unlink()
+
+
+def _lock(descriptor: int) -> bool:
+    """Whether the file could be locked; False also on a disk that has no locks, where left-overs stay."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _is_as_kept(package: Path) -> bool:
+    """Whether it is a file of the user's alone with the checksum in its name."""
+    status = package.lstat()
+    if not (stat.S_ISREG(status.st_mode) and _is_own(status)):
+        return False
+    return package.name.split(".")[1] == _checksum(package)
+
+
+def _is_own(status: os.stat_result) -> bool:
+    return status.st_uid == os.getuid() and not status.st_mode & _WRITABLE_BY_OTHERS
+
+
+def _checksum(package: Path) -> str:
+    with package.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _forget_least_used(cache: Path, newest: Path) -> None:
+    """Deletes packages beyond `MAX_BYTES`, but never the newest one."""
+    sizes: dict[Path, tuple[int, int]] = {}
+    for package in cache.glob("*.pt2"):
+        with suppress(FileNotFoundError):
+            status = package.lstat()
+            sizes[package] = status.st_mtime_ns, status.st_size
+    total = sizes.pop(newest, (0, 0))[1]
+    for package in sorted(sizes, key=lambda each: sizes[each], reverse=True):
+        total += sizes[package][1]
+        if total > MAX_BYTES:
+            package.unlink(missing_ok=True)

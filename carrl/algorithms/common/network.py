@@ -1,6 +1,7 @@
 """The action-value networks.
 
-Shapes: `N` cars or transitions, `O` values of an observation, `K` actions.
+Shapes: `N` cars or transitions, `O` values of an observation, `K` actions; `Z` atoms, the returns whose probabilities
+a distributional network predicts.
 """
 
 import math
@@ -48,6 +49,30 @@ class QNetwork(QValueActor):
         return layers
 
 
+class ReturnDistribution(nn.Module):
+    """Layers whose outputs are the logits of the returns' probabilities; called, it gives the expected returns.
+
+    Args:
+        layers: from observations to logits, [N, K Z].
+        support: the returns, evenly spaced and rising, [Z].
+    """
+
+    support: Tensor
+
+    def __init__(self, layers: nn.Module, support: Tensor) -> None:
+        super().__init__()
+        self.layers = layers
+        self.register_buffer("support", support)
+
+    def log_probabilities(self, observation: Tensor) -> Tensor:
+        """Of every action's returns, [N, K, Z]: observations [N, ...]."""
+        return self.layers(observation).unflatten(-1, (-1, len(self.support))).log_softmax(-1)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """The value of every action, [N, K]."""
+        return self.log_probabilities(observation).exp() @ self.support
+
+
 def make_q_network(
     hidden_sizes: Sequence[int],
     input_exponent: float = 1.0,
@@ -65,6 +90,13 @@ def make_q_network(
     spreads them: at 0.5 a hundredth of the range becomes a tenth.
 
     Source: He et al. 2015, "Delving Deep into Rectifiers", eq. 10; layer sizes from the paper's Table I.
+
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
 
     Raises:
         ConfigError: a hidden layer without units, too many layers or weights, or an exponent that is not positive.
@@ -94,6 +126,13 @@ def make_dueling_network(
     and writes, and how it is initialised, is as in `make_q_network`.
 
     Source: Wang et al. 2016, "Dueling Network Architectures for Deep Reinforcement Learning", eq. 9.
+
+    Args:
+        hidden_sizes: ReLU units of each hidden layer; the last one is there twice, once for each of the two streams.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
 
     Raises:
         ConfigError: as `make_q_network`, and for fewer than two hidden layers.
@@ -136,6 +175,14 @@ def make_noisy_network(
 
     Source: Fortunato et al. 2018, "Noisy Networks for Exploration", section 3.2 with factorised noise.
 
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        initial_noise: standard deviation of the noise at first, times 1 / sqrt(inputs of the layer).
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
+
     Raises:
         ConfigError: as `make_q_network`, and for noise of a strength that is none.
     """
@@ -160,6 +207,52 @@ def make_noisy_network(
     return QNetwork(on_powers(mlp, input_exponent))
 
 
+def make_distributional_network(
+    hidden_sizes: Sequence[int],
+    atoms: int,
+    least_return: float,
+    greatest_return: float,
+    input_exponent: float = 1.0,
+    *,
+    observation_size: int,
+    action_count: int,
+    generator: torch.Generator,
+) -> QNetwork:
+    """A network of `ReturnDistribution`; beside the values it reads and writes what `make_q_network` does.
+
+    Args:
+        hidden_sizes: ReLU units of each hidden layer.
+        atoms: returns whose probabilities are predicted, evenly spaced.
+        least_return: the least of them; discounted returns below count as this one.
+        greatest_return: the greatest of them.
+        input_exponent: that observations are raised to first; less than 1 spreads the short distances of a long range.
+        observation_size: how many values an observation has.
+        action_count: how many actions there are.
+        generator: draws the weights.
+
+    Raises:
+        ConfigError: as `make_q_network`, and for fewer than 2 atoms, or returns in no range.
+    """
+    if atoms < 2:
+        raise ConfigError(f"network.atoms is {atoms}; it must be at least 2")
+    check_hidden_sizes(hidden_sizes, observation_size, action_count * atoms)
+    if not -math.inf < least_return < greatest_return < math.inf:
+        raise ConfigError(
+            f"network.least_return is {least_return} and greatest_return is {greatest_return}; "
+            "they must be numbers, and the first one less than the second"
+        )
+    mlp = MLP(
+        in_features=observation_size,
+        out_features=action_count * atoms,
+        num_cells=list(hidden_sizes),
+        activation_class=nn.ReLU,
+    )
+    initialise(mlp, generator)
+    support = torch.linspace(least_return, greatest_return, atoms)
+    distribution = ReturnDistribution(on_powers(mlp, input_exponent), support)
+    return QNetwork(distribution)
+
+
 def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
     """The layers, which then read their inputs raised to the exponent.
 
@@ -177,6 +270,11 @@ def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
 def is_dueling(network: QNetwork) -> bool:
     """Whether `make_dueling_network` made it."""
     return any(isinstance(module, DuelingMlpDQNet) for module in network.modules())
+
+
+def predicts_distribution(network: QNetwork) -> bool:
+    """Whether the network is one of these."""
+    return isinstance(network.layers, ReturnDistribution)
 
 
 def check_hidden_sizes(hidden_sizes: Sequence[int], observation_size: int, outputs: int) -> None:

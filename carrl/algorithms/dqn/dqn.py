@@ -16,20 +16,16 @@ from torchrl.data import Categorical
 from torchrl.objectives import DQNLoss
 
 from carrl.algorithms.algorithm import Algorithm, Figures, FunctionalUpdate, Policy, Tree, UpdateResult
-from carrl.algorithms.common.compiled_update import Adam
-from carrl.algorithms.common.gradient_clipping import GradientClipping
-from carrl.algorithms.common.learning_rate import LearningRateDecay
 from carrl.algorithms.common.network import QNetwork
-from carrl.algorithms.common.target_updater import SoftTargetUpdate, TargetUpdater
+from carrl.algorithms.common.optimizer import Adam, GradientClipping, LearningRateDecay, SoftTargetUpdate, TargetUpdater
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
-from carrl.algorithms.dqn.exploration import EpsilonGreedy
 from carrl.algorithms.dqn.loss import ConservativeDQNLoss
-from carrl.algorithms.dqn.policy import ExploringPolicy, GreedyPolicy
+from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyPolicy
 from carrl.config import build_node
 from carrl.errors import ConfigError
-from carrl.generators import part_generator
 from carrl.log.schema import Column
-from carrl.task.world import World
+from carrl.task.random_streams import part_generator
+from carrl.task.task import World
 
 MOST_MEASURED = 256
 """Of more transitions than these an even sample is measured, so that it takes little time."""

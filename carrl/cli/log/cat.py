@@ -18,13 +18,12 @@ from carrl.cli.log.shared import (
     transition_rows,
     whole_number,
 )
-from carrl.errors import DamagedLogError, LogError
+from carrl.errors import DamagedLogError, LogError, printable
 from carrl.log.codec import EVERYTHING, Selection
 from carrl.log.messages import Episode, Metrics
 from carrl.log.reader import Log
 from carrl.log.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
 from carrl.log.trace import read_scene
-from carrl.printable import printable
 
 _LABELS = {"action_value": "Q"}
 _UNSHOWN = ("epsilon", "exploratory")

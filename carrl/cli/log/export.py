@@ -17,11 +17,10 @@ from carrl.cli.log.shared import (
     counted,
     selection_of,
 )
-from carrl.errors import CarrlError
+from carrl.errors import CarrlError, printable
 from carrl.export import tables
 from carrl.log.reader import Log
 from carrl.log.trace import EpisodeTrace
-from carrl.printable import printable
 
 WRITERS = {
     ".mp4": ("carrl.render.video", "write_video"),

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from carrl.cli.log.shared import Verbs, add_json, add_verb, counted, print_json
-from carrl.errors import DamagedLogError
+from carrl.errors import DamagedLogError, printable
 from carrl.log import IntactLog, Recovery, recover, verify
 from carrl.log.schema import TRANSITIONS
-from carrl.printable import printable
 
 
 def add_to(verbs: Verbs) -> None:

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from carrl.cli.log.shared import Verbs, add_json, add_verb, aligned, best_first, counted, print_json, whole_number
-from carrl.errors import DamagedLogError
+from carrl.errors import DamagedLogError, printable
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.trace import read_scene
-from carrl.printable import printable
 
 ORDERS: dict[str, Callable[[Episode], float]] = {
     "episode": lambda episode: episode.episode,

@@ -12,14 +12,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.errors import CarrlError, LogError
+from carrl.errors import CarrlError, LogError, printable
 from carrl.log.codec import Columns, Selection
 from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.scene import Scene
 from carrl.log.schema import Column, Schema
 from carrl.log.trace import EpisodeTrace, read_trace
-from carrl.printable import printable
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]

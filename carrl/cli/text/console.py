@@ -17,16 +17,17 @@ from rich.text import Text
 
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
-from carrl.printable import printable
+from carrl.errors import printable
 from carrl.report.runs import missing_lap
-from carrl.train.experiment import Observer, road_warning
+from carrl.train.callbacks import Callback
+from carrl.train.experiment import road_warning
 from carrl.train.replicate_run import RECENT_EPISODES
 from carrl.train.trainer import Trainer
 
 _SHOW_CURSOR = "\x1b[?25h"
 
 
-class StopOnSignals(Observer):
+class StopOnSignals(Callback):
     """Lets the first signal end the run with everything saved, and the second end the process at once.
 
     A second SIGHUP is passed over: a closing terminal sends it, and so does the shell in it.
@@ -55,7 +56,7 @@ class StopOnSignals(Observer):
         self._trainer.interrupt()
 
 
-class RoadWarning(Observer):
+class RoadWarning(Callback):
     """Warns, before training begins, of a track that does not suit the car."""
 
     def on_start(self, trainer: Trainer) -> None:
@@ -64,7 +65,7 @@ class RoadWarning(Observer):
         warn(road_warning(world.circuits.all, world))
 
 
-class ProgressDisplay(Observer):
+class ProgressDisplay(Callback):
     """A live progress bar with figures below it."""
 
     def on_start(self, trainer: Trainer) -> None:
@@ -88,7 +89,7 @@ class ProgressDisplay(Observer):
             self._console.print()
 
 
-def follow_run() -> list[Observer]:
+def follow_run() -> list[Callback]:
     """What follows a run that has the terminal to itself."""
     return [RoadWarning(), StopOnSignals(), ProgressDisplay()]
 
@@ -169,11 +170,11 @@ def _laps_so_far(trainer: Trainer) -> str:
     """How many agents lapped the track twice running, or on how many of several circuits their best networks did."""
     runs = trainer.runs
     trials = [run.best for run in runs if run.best is not None]
-    if not trials or len(trials[0].drives) == 1:
+    if not trials or len(trials[0].rollouts) == 1:
         return f"first lap by {sum(run.first_lap is not None for run in runs)} of {len(runs)}"
     laps = [trial.laps_completed for trial in trials]
     each = f"{min(laps)}" if min(laps) == max(laps) else f"{min(laps)} to {max(laps)}"
-    return f"lapped {each} of {len(trials[0].drives)}"
+    return f"lapped {each} of {len(trials[0].rollouts)}"
 
 
 def _place(folder: Path) -> str:

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carrl.printable import printable
+from carrl.errors import printable
 from carrl.report.runs import missing_lap
 from carrl.train.sweep import JobNote, SweepFolder, read_summaries
 

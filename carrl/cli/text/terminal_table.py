@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from carrl.printable import printable
+from carrl.errors import printable
 
 PIPE_WIDTH = 160
 """Width of what does not go to a terminal, unless the variable COLUMNS tells one, characters."""

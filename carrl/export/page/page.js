@@ -37,8 +37,8 @@ function goToLinkedStep() {
 }
 
 function watchSize() {
-  const observer = new ResizeObserver(repaint);
-  for (const canvas of document.querySelectorAll("canvas")) observer.observe(canvas);
+  const callback = new ResizeObserver(repaint);
+  for (const canvas of document.querySelectorAll("canvas")) callback.observe(canvas);
 }
 
 showFacts(episode);

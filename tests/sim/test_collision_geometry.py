@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from carrl.errors import ConfigError, TrackError
+from carrl.sim.collision_geometry import MOST_CELLS, WallGrid
 from carrl.sim.geometry import path_clearance, ray_distances
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.vehicle import Vehicle
-from carrl.sim.wall_grid import MOST_CELLS, WallGrid
 from carrl.tracks.centreline import Centreline
 from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import random_poses, random_track
