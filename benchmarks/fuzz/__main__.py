@@ -12,9 +12,10 @@ from pathlib import Path
 
 from benchmarks import figures
 from benchmarks.fuzz.logs import LogFile
+from benchmarks.fuzz.maps import TrackMap, TrackRaceline
 from benchmarks.fuzz.parser import Parser, judge, peak_mib
 from benchmarks.fuzz.runs import Checkpoint, Results, RunConfig
-from benchmarks.fuzz.tracks import TrackCsv, TrackDrawing, TrackWaypoints
+from benchmarks.fuzz.tracks import TrackCsv, TrackDrawing, TrackGeoJson, TrackOpenDrive, TrackTorcs, TrackWaypoints
 from benchmarks.machine import describe_machine, machine_line
 from benchmarks.options import Parser as ArgumentParser
 from benchmarks.options import positive, tell
@@ -23,6 +24,11 @@ PARSERS: Mapping[str, type[Parser]] = {
     "track-csv": TrackCsv,
     "track-yaml": TrackDrawing,
     "track-npy": TrackWaypoints,
+    "track-map": TrackMap,
+    "track-raceline": TrackRaceline,
+    "track-torcs": TrackTorcs,
+    "track-geojson": TrackGeoJson,
+    "track-opendrive": TrackOpenDrive,
     "config": RunConfig,
     "checkpoint": Checkpoint,
     "log": LogFile,

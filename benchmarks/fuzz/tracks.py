@@ -1,6 +1,7 @@
 """Files of tracks."""
 
 import io
+import json
 import zlib
 from pathlib import Path
 from random import Random
@@ -111,3 +112,108 @@ class TrackWaypoints(TrackParser):
         np.save(file, np.asfortranarray(changed) if draw.random() < 0.2 else changed, allow_pickle=True)
         content = file.getvalue()
         self.path.write_bytes(content if draw.random() < 0.6 else mutate(draw, content, [content]))
+
+
+def _oval(section: str, side: str, end_radius: str) -> str:
+    """A TORCS track: two straights, two half circles of which one may change its radius on the way, and sides."""
+    segments = [
+        '<attstr name="type" val="str"/><attnum name="lg" unit="m" val="100"/>',
+        f'<attstr name="type" val="lft"/><attnum name="radius" val="40"/>{end_radius}'
+        '<attnum name="arc" unit="deg" val="180"/>',
+        '<attstr name="type" val="str"/><attnum name="lg" val="328.084" unit="ft"/>',
+        '<attstr name="type" val="lft"/><attnum name="radius" val="40"/><attnum name="arc" val="3.14159265"/>',
+    ]
+    sections = "\n".join(f'<section name="s{number}">{each}{side}</section>' for number, each in enumerate(segments))
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<!DOCTYPE params SYSTEM "params.dtd" [\n'
+        '<!ENTITY default-surfaces SYSTEM "surfaces.xml">\n]>\n<params name="oval">\n<section name="Surfaces">'
+        '&default-surfaces;</section>\n<section name="Main Track"><attnum name="width" val="10"/>'
+        f'<attnum name="profil steps length" val="4"/>\n<section name="{section}">\n{sections}\n</section>'
+        "</section></params>\n"
+    )
+
+
+class TrackTorcs(TrackParser):
+    """`.xml`: straights and curves of TORCS."""
+
+    ending = ".xml"
+
+    def make(self, draw: Random) -> None:
+        """An oval in one of the two spellings, often damaged."""
+        side = draw.choice(("", '<section name="Left Side"><attnum name="end width" val="9"/></section>'))
+        end_radius = draw.choice(
+            ("", "", '<attnum name="end radius" val="40"/>', '<attnum name="end radius" val="60"/>')
+        )
+        text = _oval(draw.choice(("Track Segments", "segments")), side, end_radius).encode()
+        pieces = [text, b'<!ENTITY a "b">', b"&default-surfaces;" * 100, b"<section>" * 1000]
+        self.path.write_bytes(text if draw.random() < 0.2 else mutate(draw, text, pieces))
+
+
+class TrackGeoJson(TrackParser):
+    """`.geojson`: lines of longitudes and latitudes."""
+
+    ending = ".geojson"
+
+    def make(self, draw: Random) -> None:
+        """A ring, a star or points anywhere, with values or the text changed."""
+        table = _table(draw, 2) * draw.choice((1, 1, 3)) / 111_000 + [
+            draw.choice((0, 7, 7, 179.9)),
+            draw.choice((0, 50, -37, 89.9)),
+        ]
+        coordinates = [*table.round(7).tolist(), *table[:1].round(7).tolist()]
+        values: dict[str, object] = {"type": "LineString", "coordinates": coordinates}
+        if draw.random() < 0.8:
+            widths = {side: [4.0] * draw.choice((len(table), 1)) for side in ("width_left", "width_right")}
+            properties: dict[str, object] = {"id": "ring", **(widths if draw.random() < 0.3 else {})}
+            values = {"type": "Feature", "properties": properties, "geometry": values}
+        if draw.random() < 0.6:
+            values = {"type": "FeatureCollection", "features": [values] * draw.choice((1, 1, 1, 0, 2))}
+        for _ in range(draw.choice((0, 0, 1, 2))):
+            values = change(draw, values)
+        text = json.dumps(values, default=str).encode()
+        self.path.write_bytes(text if draw.random() < 0.6 else mutate(draw, text, [text, b"[" * 3000, b"1e400"]))
+
+
+_ROAD = """<road id="{id}" length="{length}" junction="-1"><link><predecessor elementType="road" elementId="{before}" \
+contactPoint="end"/><successor elementType="road" elementId="{after}" contactPoint="start"/></link><planView>\
+<geometry s="0" x="{x}" y="{y}" hdg="{heading}" length="{length}">{shape}</geometry></planView><lanes>\
+<laneOffset s="0" a="0.5" b="0" c="0" d="0"/><laneSection s="0"><center><lane id="0" type="none"/></center><right>\
+<lane id="-1" type="driving"><width sOffset="0" a="8" b="0.001" c="0" d="0"/></lane></right>\
+</laneSection></lanes></road>
+"""
+
+
+class TrackOpenDrive(TrackParser):
+    """`.xodr`: roads of OpenDRIVE."""
+
+    ending = ".xodr"
+
+    def make(self, draw: Random) -> None:
+        """A ring of two straights and two half circles, often damaged."""
+        half = 40 * np.pi
+        arc = draw.choice(('<arc curvature="0.025"/>', '<spiral curvStart="0.025" curvEnd="0.025"/>'))
+        line = "<line/>"
+        if draw.random() < 0.3:
+            line = '<paramPoly3 pRange="normalized" aU="0" bU="100" cU="0" dU="0" aV="0" bV="0" cV="0" dV="0"/>'
+        places = [
+            (0, 0, 0.0, 100, line),
+            (100, 0, 0.0, half, arc),
+            (100, 80, np.pi, 100, line),
+            (0, 80, np.pi, half, arc),
+        ]
+        roads = [
+            _ROAD.format(
+                id=index,
+                before=(index - 1) % 4,
+                after=(index + 1) % 4,
+                x=x,
+                y=y,
+                heading=heading,
+                length=length,
+                shape=shape,
+            )
+            for index, (x, y, heading, length, shape) in enumerate(places)
+        ]
+        text = f"<OpenDRIVE>{''.join(roads)}</OpenDRIVE>".encode()
+        pieces = [text, roads[0].encode(), b"<junction/>", b"<poly3/>"]
+        self.path.write_bytes(text if draw.random() < 0.2 else mutate(draw, text, pieces))

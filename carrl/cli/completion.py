@@ -19,6 +19,7 @@ _RANDOM = (
     "--widening",
     "--hairpins",
 )
+_READING = ("--scale", "--width", "--walls", "--circuit", "--direction")
 FLAGS = {
     "train": overrides.FLAGS,
     "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--storage"),
@@ -26,8 +27,9 @@ FLAGS = {
     "drive": ("--track", "--run", "--fps", "--trust"),
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
     "track list": ("--json",),
-    "track show": ("--out",),
-    "track check": ("--json", "--body-radius", "--turn-radius", "--step-length", "--near-wall"),
+    "track show": ("--out", *_READING),
+    "track check": ("--json", "--body-radius", "--turn-radius", "--step-length", "--near-wall", *_READING),
+    "track convert": ("--resolution", "--force", *_READING),
     "track random": (*_RANDOM, "--out", "--force", "--json"),
     "log info": ("--json",),
     "log ls": ("--sort", "--reverse", "--crashed", "--lapped", "--env", "--limit", "--json"),

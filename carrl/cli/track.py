@@ -9,6 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carrl.cli.parser import Parser
+from carrl.cli.track_convert import (
+    add_convert_arguments,
+    add_reading_flags,
+    load_all_as_said,
+    load_as_said,
+    run_convert,
+)
 from carrl.errors import TrackError, printable
 
 if TYPE_CHECKING:
@@ -45,7 +52,10 @@ def _parser() -> argparse.ArgumentParser:
     listing = add_verb("list", _list, "the tracks that come with CarRL, or those of folders")
     listing.add_argument("folders", nargs="*", metavar="FOLDER", help="whose circuits to list, and those below it")
     show = add_verb("show", _show, "draw a track", json_flag=False)
-    show.add_argument("track", metavar="NAME|FILE", help="a built-in track, or a .csv, .yaml or .npy file")
+    show.add_argument(
+        "track", metavar="NAME|FILE", help="a built-in track, a file, or the name of a file in CARRL_TRACKS"
+    )
+    add_reading_flags(show)
     show.add_argument(
         "--out",
         metavar="FILE",
@@ -56,10 +66,13 @@ def _parser() -> argparse.ArgumentParser:
         "tracks",
         nargs="+",
         metavar="NAME|FILE|FOLDER",
-        help="a built-in track, a .csv, .yaml or .npy file, or a folder for all in it",
+        help="a built-in track, a file or the name of one in CARRL_TRACKS, or a folder for all in it",
     )
+    add_reading_flags(check)
     for flag, of_default, what in CAR_FLAGS:
         check.add_argument(f"--{flag}", type=float, metavar="M", help=f"{what}, m (default {of_default:g})")
+    convert = add_verb("convert", run_convert, "write a track in another format", json_flag=False)
+    add_convert_arguments(convert)
     random = add_verb("random", _random, "draw random circuits and write each as a CSV file")
     random.add_argument("--seed", type=int, default=0, metavar="N", help="of the first circuit (default 0)")
     random.add_argument("--count", type=int, default=1, metavar="N", help="how many circuits, of seeds from there on")
@@ -86,33 +99,47 @@ def _parser() -> argparse.ArgumentParser:
 def _list(arguments: argparse.Namespace) -> int:
     from carrl.tracks.circuits import load_folder
     from carrl.tracks.inspection import inspect_track
+    from carrl.tracks.library import library_folders
     from carrl.tracks.track import Track, builtin_names
 
-    folders = [load_folder(Path(folder)) for folder in arguments.folders]
-    refused = [reason for folder in folders for reason in folder.refused.values()]
-    tracks = [track for folder in folders for track in folder.tracks] or [Track.load(name) for name in builtin_names()]
-    reports = [inspect_track(track) for track in tracks]
-    for reason in refused:
-        print(f"carrl: {printable(reason)}", file=sys.stderr)
+    named = list(map(Path, arguments.folders)) or library_folders()
+    folders = [load_folder(folder) for folder in named]
+    refused = [(str(path), reason) for folder in folders for path, reason in folder.refused.items()]
+    built_in = [] if arguments.folders else [Track.load(name) for name in builtin_names()]
+    reports = [inspect_track(track) for track in [*built_in, *(track for folder in folders for track in folder.tracks)]]
     if arguments.json:
         _print_json([_as_json(report) for report in reports])
     else:
         header = ("track", "length", "width", "least radius", "gates")
-        title = ", ".join(arguments.folders) or "built-in tracks"
         from carrl.cli.text.terminal_table import print_table
 
+        title = ", ".join(map(str, named if arguments.folders else ["built-in tracks", *named]))
         print_table(title, header, [_row(report) for report in reports])
+    if arguments.json:
+        for _, reason in refused:
+            print(f"carrl: {printable(reason)}", file=sys.stderr)
+    elif refused:
+        from carrl.cli.text.terminal_table import print_table
+
+        print_table(f"{len(refused)} files that are no tracks", ("file", "why"), refused, figures=(), to_stderr=True)
     return 2 if refused else 0
 
 
 def _show(arguments: argparse.Namespace) -> int:
     from carrl.render import picture_format
+    from carrl.render.corridor import draw_corridor
     from carrl.render.lap import draw_track_map
-    from carrl.tracks.track import Track
+    from carrl.tracks.rings import CorridorError
 
-    track = Track.load(arguments.track)
-    path = Path(arguments.out or f"{Path(track.name).stem}.png")
+    path = Path(arguments.out or f"{Path(arguments.track).stem}.png")
     picture_format(path, "--out")
+    try:
+        track = load_as_said(arguments)
+    except CorridorError as error:
+        path = path if arguments.out else path.with_name(f"{path.stem}-found.png")
+        draw_corridor(path, error)
+        print(printable(str(path)))
+        raise
     draw_track_map(path, track, f"{track.name}: {track.length:,.0f} m, {track.gate_count} gates")
     print(printable(str(path)))
     return 0
@@ -122,27 +149,27 @@ def _check(arguments: argparse.Namespace) -> int:
     """Checks every track even when one cannot be read, and returns the gravest exit code."""
     from carrl.sim.drivability import unsuitable
     from carrl.tracks.inspection import inspect_track
-    from carrl.tracks.track import Track
 
     car, is_given = _car(arguments)
     exit_code = 0
     documents: list[dict[str, Any]] = []
     for name in _named(arguments.tracks):
         try:
-            track = Track.load(name)
-            report = inspect_track(track, car.body_radius)
+            tracks = load_all_as_said(arguments, name)
+            reports = [inspect_track(track, car.body_radius) for track in tracks]
         except TrackError as error:
             exit_code = 2
             print(f"carrl: {printable(str(error))}", file=sys.stderr)
             documents.append({"path": name, "error": str(error)})
             continue
-        warnings = unsuitable(track, car) if report.width_min > 2 * car.body_radius else []
-        if is_given:
-            report, warnings = dataclasses.replace(report, faults=(*report.faults, *warnings)), []
-        exit_code = max(exit_code, 1 if report.faults else 0)
-        documents.append({"path": name, **_as_json(report), "warnings": warnings})
-        if not arguments.json:
-            _print_report(report, car, warnings)
+        for track, report in zip(tracks, reports, strict=True):
+            warnings = unsuitable(track, car) if report.width_min > 2 * car.body_radius else []
+            if is_given:
+                report, warnings = dataclasses.replace(report, faults=(*report.faults, *warnings)), []
+            exit_code = max(exit_code, 1 if report.faults else 0)
+            documents.append({"path": name, **_as_json(report), "notes": list(track.notes), "warnings": warnings})
+            if not arguments.json:
+                _print_report(report, car, warnings, track.notes)
     if arguments.json:
         _print_json(documents)
     return exit_code
@@ -244,7 +271,7 @@ def _width(report: "TrackReport") -> str:
     return low if low == high else f"{low.removesuffix(' m')} to {high}"
 
 
-def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str]) -> None:
+def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str], notes: Sequence[str]) -> None:
     from carrl.sim.drivability import metres
 
     left, right = (
@@ -269,6 +296,7 @@ def _print_report(report: "TrackReport", car: "Car", warnings: Sequence[str]) ->
         ("its step", metres(car.step_length)),
         ("its body radius", metres(car.body_radius)),
         ("near a wall for it", metres(car.near_wall)),
+        *(("read", note) for note in notes),
         ("faults", f"{len(report.faults)}" if report.faults else "none"),
     ]
     from carrl.cli.text.terminal_table import print_table

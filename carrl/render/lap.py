@@ -80,6 +80,9 @@ class TrackMap:
     def draw(self, canvas: Canvas) -> None:
         """Draws the map."""
         draw_ground(canvas, self.view, self.ground, PRINT)
+        if self.track.reference_line is not None:
+            reference = self.view.places(self.track.reference_line.double().numpy())
+            canvas.path(closed([reference]), Stroke(FAINT, 0.8))
         covered = self._draw_start(canvas)
         self._number_gates(canvas, covered)
         draw_scale_bar(canvas, self.view, 14, self.size[1] - 14, PRINT, least=35, size=8)

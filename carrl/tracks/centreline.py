@@ -39,6 +39,9 @@ class Road:
         repeats: how many points were left out, since they repeated the one before.
         gates: how many, or None.
         gate_spacing: about how far they stand apart, m, or None.
+        name: of the circuit, where its file has many.
+        notes: how its file was read, where there was a choice; a phrase for each.
+        reference: the line that its file proposes to drive, in driving order, [N, 2], m; or None.
     """
 
     centre: np.ndarray
@@ -47,6 +50,9 @@ class Road:
     repeats: int = 0
     gates: int | None = None
     gate_spacing: float | None = None
+    name: str | None = None
+    notes: tuple[str, ...] = ()
+    reference: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,15 @@
 """The circuits that a policy is trained on, and those on which training tries out how well it drives."""
 
 import logging
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from carrl.errors import TrackError
 from carrl.tracks.formats import READERS
+from carrl.tracks.library import files_below
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
 from carrl.tracks.track import Track
 
@@ -60,6 +60,7 @@ def make_circuits(
     corner_spacing: float | Sequence[float] = CORNER_SPACING,
     hairpins: float = 0.0,
     folder: str | None = None,
+    scale: float = 1.0,
 ) -> Circuits:
     """Random circuits to learn on, with the circuits of a folder if one is named, and other random ones for trials.
 
@@ -76,6 +77,7 @@ def make_circuits(
         hairpins: share of the narrow U-turns that are one acute corner instead of two right-angled ones.
         folder: whose circuits, and those of folders below it, to learn on, too; None for none. Files in it that
             cannot be read are left out, with a warning for each.
+        scale: how many times as large as in their files the circuits of the folder are.
 
     Raises:
         TrackError: there is no circuit to learn on or for trials, there are too many, or one cannot be drawn or read.
@@ -89,15 +91,15 @@ def make_circuits(
         Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing, hairpins)
         for each in range(seed, seed + count + validation)
     ]
-    named = [] if folder is None else _load_or_warn(Path(folder), gate_spacing)
+    named = [] if folder is None else _load_or_warn(Path(folder), gate_spacing, scale)
     training = (*drawn[:count], *named)
     if not training:
         raise TrackError("track.count is 0 and track.folder names no folder; give at least one circuit to learn on")
     return Circuits(training, tuple(drawn[count:]))
 
 
-def _load_or_warn(folder: Path, gate_spacing: float | None) -> list[Track]:
-    tracks, refused = load_folder(folder, gate_spacing)
+def _load_or_warn(folder: Path, gate_spacing: float | None, scale: float) -> list[Track]:
+    tracks, refused = load_folder(folder, gate_spacing, scale)
     for path, reason in refused.items():
         _logger.warning("left out '%s': %s", path, reason)
     return tracks
@@ -115,7 +117,7 @@ class Folder(NamedTuple):
     refused: dict[Path, str]
 
 
-def load_folder(folder: Path, gate_spacing: float | None = None) -> Folder:
+def load_folder(folder: Path, gate_spacing: float | None = None, scale: float = 1.0) -> Folder:
     """Loads all circuits of a folder and of those below it, and tells which files could not be read.
 
     Raises:
@@ -124,11 +126,12 @@ def load_folder(folder: Path, gate_spacing: float | None = None) -> Folder:
     tracks, refused = [], {}
     for path in circuit_files(folder):
         try:
-            track = Track.load(path, gate_spacing)
+            found = Track.load_all(path, gate_spacing, scale)
         except TrackError as error:
             refused[path] = str(error)
         else:
-            tracks.append(replace(track, name=path.relative_to(folder).as_posix()))
+            below = path.parent.relative_to(folder).as_posix()
+            tracks += [replace(track, name=str(PurePosixPath(below, track.name))) for track in found]
     if not tracks:
         reasons = "; ".join(refused.values())
         raise TrackError(f"folder '{folder}' has no file that can be read as a track: {reasons}")
@@ -141,7 +144,7 @@ def circuit_files(folder: Path) -> list[Path]:
     Raises:
         TrackError: there is none, too many, or no such folder.
     """
-    found = sorted(islice(_files_below(folder), MOST_CIRCUITS + 1))
+    found = sorted(islice(files_below(folder), MOST_CIRCUITS + 1))
     if not 0 < len(found) <= MOST_CIRCUITS:
         count = f"more than {MOST_CIRCUITS}" if found else "0"
         raise TrackError(
@@ -149,13 +152,3 @@ def circuit_files(folder: Path) -> list[Path]:
             f"it must have at least one and at most {MOST_CIRCUITS}"
         )
     return found
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    def refuse(error: OSError) -> None:
-        raise TrackError(f"folder '{error.filename}' cannot be read: {error.strerror}; name a folder of circuits")
-
-    for path, folders, names in os.walk(folder, onerror=refuse):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        files = (Path(path, name) for name in names if not name.startswith("."))
-        yield from (file for file in files if file.suffix.lower() in READERS and file.is_file())

@@ -7,7 +7,9 @@ import csv
 import io
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,11 +56,41 @@ def read_csv(path: Path) -> Centreline:
     Raises:
         TrackError: the file is not such a table, or a value in it cannot be a road's.
     """
+    return centreline_of(path, read_columns(path, COLUMNS).numbers)
+
+
+class Columns(NamedTuple):
+    """Columns of a file.
+
+    Attributes:
+        numbers: [P, C].
+        has_header: whether a header told which columns they are.
+    """
+
+    numbers: np.ndarray
+    has_header: bool
+
+
+def read_columns(path: Path, columns: Sequence[str]) -> Columns:
+    """Reads those columns of a file that are called so, or as in `ALSO_CALLED`, or all without a header.
+
+    Raises:
+        TrackError: the file is not such a table, lacks one of the columns, or a value in it cannot be a road's.
+    """
     comments, rows = _read_rows(path)
     first = next((index for index, (_, row) in enumerate(rows) if any(map(_is_number, row[:MOST_NAMES]))), len(rows))
-    order = _order(path, [*rows[:first], *comments], rows[first:])
-    numbers = [_read_numbers(path, line, row, order) for line, row in rows[first:]]
-    table, repeats = without_repeats(np.array(numbers).reshape(-1, len(COLUMNS)))
+    order, has_header = _order(path, [*rows[:first], *comments], rows[first:], columns)
+    numbers = [_read_numbers(path, line, row, order, columns) for line, row in rows[first:]]
+    return Columns(np.array(numbers).reshape(-1, len(columns)), has_header)
+
+
+def centreline_of(path: Path, table: np.ndarray) -> Centreline:
+    """The centreline with x, y and the widths to the right and to the left in the columns of a table [P, 4], m.
+
+    Raises:
+        TrackError: it has too few points.
+    """
+    table, repeats = without_repeats(table)
     if len(table) < MIN_POINTS:
         raise TrackError(f"track '{path.name}': {len(table)} points; a closed road needs at least {MIN_POINTS}")
     return Centreline(points=table[:, :2], width_right=table[:, 2], width_left=table[:, 3], repeats=repeats)
@@ -71,7 +103,7 @@ def _read_rows(path: Path) -> tuple[list[Row], list[Row]]:
     try:
         text = read_whole(path, MAX_FILE_BYTES, f"track '{path.name}'", TrackError).decode("utf-8-sig")
         if text.lstrip().startswith(("{", "<")):
-            raise TrackError(f"track '{path.name}': this is JSON or XML; CarRL reads .csv, .npy and .yaml")
+            raise TrackError(f"track '{path.name}': this is JSON or XML; name it .geojson, .xml or .xodr")
         delimiter, line = _delimiter_of(text), 1
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
         for row in reader:
@@ -104,21 +136,21 @@ def _parted(comment: str) -> list[str]:
     return re.split(r"[;,\t]" if re.search(r"[;,\t]", comment) else r"\s+", comment)
 
 
-def _order(path: Path, headers: list[Row], rows: list[Row]) -> list[int]:
-    """Where the four columns stand.
+def _order(path: Path, headers: list[Row], rows: list[Row], columns: Sequence[str]) -> tuple[list[int], bool]:
+    """Where the columns stand, and whether a header says so.
 
     Raises:
-        TrackError: no header has them all, and there are not just four without one.
+        TrackError: no header has them all, and there are not just so many without one.
     """
     headers = [(line, names[:MOST_NAMES]) for line, names in headers[:MOST_COMMENTS]]
-    found = [_find(names) for _, names in headers]
+    found = [_find(names, columns) for _, names in headers]
     best = min(range(len(found)), key=lambda index: found[index].count(None), default=None)
     if best is not None and None not in found[best]:
-        return [index for index in found[best] if index is not None]
-    if best is None or found[best].count(None) == len(COLUMNS):
+        return [index for index in found[best] if index is not None], True
+    if best is None or found[best].count(None) == len(columns):
         cells = [cell for cell in rows[0][1] if cell.strip()] if rows else []
-        if len(cells) == len(COLUMNS) == len([cell for cell in cells if _is_number(cell)]):
-            return list(range(len(COLUMNS)))
+        if len(cells) == len(columns) == len([cell for cell in cells if _is_number(cell)]):
+            return list(range(len(columns))), False
         if rows and (best is None or headers[best][0] > rows[0][0]):
             raise TrackError(
                 f"track '{path.name}': there is no header, and line {rows[0][0]} has {len(cells)} columns; only four "
@@ -126,17 +158,17 @@ def _order(path: Path, headers: list[Row], rows: list[Row]) -> list[int]:
             )
         best = 0
     line, names = headers[best]
-    missing = [column for column, index in zip(COLUMNS, found[best], strict=True) if index is None]
+    missing = [column for column, index in zip(columns, found[best], strict=True) if index is None]
     raise TrackError(
         f"track '{path.name}': the header in line {line} has no column {', '.join(missing)}; it has "
         f"{_cut(', '.join(name.strip() for name in names))}, and must have {_HEADER}"
     )
 
 
-def _find(names: list[str]) -> list[int | None]:
-    """Where each of the four columns stands in a header, by any of its names."""
+def _find(names: list[str], columns: Sequence[str]) -> list[int | None]:
+    """Where each of the columns stands in a header, by any of its names."""
     header = [_plain(name) for name in names]
-    wanted = [(_plain(column), *ALSO_CALLED[column]) for column in COLUMNS]
+    wanted = [(_plain(column), *ALSO_CALLED.get(column, ())) for column in columns]
     return [next((header.index(name) for name in each if name in header), None) for each in wanted]
 
 
@@ -157,9 +189,9 @@ def _cut(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:60]}..."
 
 
-def _read_numbers(path: Path, line: int, row: list[str], order: list[int]) -> list[float]:
+def _read_numbers(path: Path, line: int, row: list[str], order: list[int], columns: Sequence[str]) -> list[float]:
     numbers = []
-    for name, index in zip(COLUMNS, order, strict=True):
+    for name, index in zip(columns, order, strict=True):
         cell = row[index].strip() if index < len(row) else ""
         try:
             number = float(cell.replace("_", "?"))  # Python would read 4_0 as 40.

@@ -167,10 +167,6 @@ class _Reader:
     def drawing(self) -> Road:
         """What the file draws."""
         forms = [key for key in ("corners", "points") if key in self.values]
-        if not forms and {"image", "resolution"} <= self.values.keys():
-            raise self._error(
-                "this is a map of ROS, a picture without a centreline; CarRL reads .csv, .npy and drawings"
-            )
         if len(forms) != 1:
             raise self._error(f"it has {' and '.join(forms) or 'neither'}; it must have one of corners and points")
         keys = CORNER_KEYS if forms == ["corners"] else POINT_KEYS
@@ -205,18 +201,24 @@ class _Reader:
             raise self._error(f"smooth is {shown(smooth)}; it must be true or false")
         if "width" in self.values:
             table, repeats = self._table("points", (2,), "[x, y], since width is given")
-            table = np.column_stack([table, np.full(len(table), self._number("width"))])
+            table = np.column_stack([table, np.full((len(table), 2), self._number("width") / 2)])
         else:
-            table, repeats = self._table("points", (3,), "[x, y, width], or width must be given beside them")
-            bad = np.flatnonzero(table[:, 2] <= 0)
+            form = "[x, y, width] or [x, y, right, left], or width must be given beside them"
+            table, repeats = self._table("points", (3, 4), form)
+            bad = np.argwhere(table[:, 2:] <= 0)
             if len(bad) > 0:
-                raise self._error(f"points: row {bad[0] + 1}: width is {table[bad[0], 2]:g} m; widths must be positive")
-        spacing = self._spacing(table[:, :2], float(table[:, 2].min()))
+                row, column = bad[0].tolist()
+                raise self._error(
+                    f"points: row {row + 1}: width is {table[row, 2 + column]:g} m; widths must be positive"
+                )
+        if table.shape[1] == 3:
+            table = np.column_stack([table[:, :2], table[:, 2] / 2, table[:, 2] / 2])
+        spacing = self._spacing(table[:, :2], float((table[:, 2] + table[:, 3]).min()))
         if smooth:
-            widths = table[:, 2]
+            widths = table[:, 2:]
             table = smooth_curve(table, spacing)
-            table[:, 2] = table[:, 2].clip(widths.min(), widths.max())  # The curve through the widths may overshoot.
-        return Centreline(table[:, :2], *_half_widths(table[:, 2]), repeats)
+            table[:, 2:] = table[:, 2:].clip(widths.min(axis=0), widths.max(axis=0))  # The curve may overshoot.
+        return Centreline(table[:, :2], table[:, 2], table[:, 3], repeats)
 
     def _spacing(self, points: np.ndarray, detail: float) -> float:
         """Distance between the centreline's points that shows details of this size, m."""
@@ -235,9 +237,9 @@ class _Reader:
         if not isinstance(rows, list):
             raise self._error(f"{key} is {shown(rows)}; it must be a list with a row {form} for each")
         for number, row in enumerate(rows, start=1):
-            if not isinstance(row, list) or len(row) not in columns:
+            if not isinstance(row, list) or len(row) not in columns or len(row) != len(rows[0]):
                 raise self._error(f"{key}: row {number} is {shown(row)}; it must be {form}")
-            for name, value in zip(("x", "y", "width"), row, strict=False):
+            for name, value in zip(("x", "y", "width", "left width"), row, strict=False):
                 self._check_number(f"{key}: row {number}: {name}", value)
         table, repeats = without_repeats(np.array(rows, dtype=np.float64))
         if len(table) < MIN_POINTS:

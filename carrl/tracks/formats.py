@@ -1,35 +1,70 @@
 """The formats of track files: a reader for each ending of a file's name."""
 
+import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from carrl.errors import TrackError
+from carrl.errors import TrackError, shown
+from carrl.tracks import geojson, opendrive, raceline, ros_map, torcs
 from carrl.tracks.centreline import Road
-from carrl.tracks.csv_file import read_csv
 from carrl.tracks.drawing_file import read_drawing
 from carrl.tracks.waypoint_file import read_waypoints
+from carrl.tracks.xml_file import root_tag
+
+Reader = Callable[..., Road | list[Road]]
+"""Takes the path, and as keywords the options of its format, such as `width`."""
 
 
-def _read_centreline(path: Path) -> Road:
-    return read_csv(path).road()
+def _read_yaml(path: Path) -> Road:
+    return ros_map.read(path) if ros_map.is_map(path) else read_drawing(path)
 
 
-READERS: dict[str, Callable[[Path], Road]] = {
-    ".csv": _read_centreline,
+def _read_xml(path: Path, walls: str | None = None) -> Road | list[Road]:
+    tag = root_tag(path)
+    if tag == "params":
+        return torcs.read(path, walls or torcs.WALLS[0])
+    if tag == "OpenDRIVE":
+        check_options(path.name, [], {} if walls is None else {"walls": walls})
+        return opendrive.read(path)
+    raise TrackError(f"track '{path.name}': this XML is {shown(tag)}; CarRL reads params, as of TORCS, and OpenDRIVE")
+
+
+READERS: dict[str, Reader] = {
+    ".csv": raceline.read,
     ".npy": read_waypoints,
-    ".yaml": read_drawing,
-    ".yml": read_drawing,
+    ".yaml": _read_yaml,
+    ".yml": _read_yaml,
+    ".xml": _read_xml,
+    ".xodr": opendrive.read,
+    ".geojson": geojson.read,
 }
 """By the ending in small letters; add one to read tracks of another format. Each raises TrackError for a bad file."""
 
 
-def read_road(path: Path) -> Road:
-    """The road of a file: by its ending, or else as CSV.
+def read_roads(path: Path, **options: Any) -> list[Road]:
+    """The roads of a file: by its ending, or else as CSV.
+
+    Args:
+        path: of the file.
+        options: of its format; None for those that are not given.
 
     Raises:
-        TrackError: it is a folder, or does not describe a road.
+        TrackError: it is a folder, does not describe a road, or its format has no such option.
     """
     if os.path.isdir(path):  # Path.is_dir raises on a name that is too long or may not be looked up.
         raise TrackError(f"track '{path}': this is a folder; name a file in it")
-    return READERS.get(path.suffix.lower(), _read_centreline)(path)
+    reader = READERS.get(path.suffix.lower(), raceline.read)
+    given = {key: value for key, value in options.items() if value is not None}
+    check_options(path.name, list(inspect.signature(reader).parameters)[1:], given)
+    roads = reader(path, **given)
+    return [roads] if isinstance(roads, Road) else roads
+
+
+def check_options(name: str, known: list[str], given: Mapping[str, Any]) -> None:
+    """Raises TrackError for options that a track does not have."""
+    for option in given:
+        if option not in known:
+            has = f"its format has {', '.join(known)}" if known else "its format has none"
+            raise TrackError(f"track '{name}': it takes no {option}; {has}, so leave it out")

@@ -4,7 +4,6 @@ Shapes: `P` points of the centreline, `S` walls, `G` gates, `B` cars. Lengths ar
 counter-clockwise from +x. A *station* is a distance along the centreline from the start line, in driving order.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,11 +15,13 @@ import torch
 from torch import Tensor
 
 from carrl.errors import TrackError
+from carrl.tracks.adjust import adjusted
 from carrl.tracks.bridges import Bridge, check_road, cut_folds, find_bridges
 from carrl.tracks.centreline import Centreline, Road, Routes, gap_of
 from carrl.tracks.drawing_file import DRAWINGS, MIN_GATE_SPACING
-from carrl.tracks.formats import read_road
+from carrl.tracks.formats import check_options, read_roads
 from carrl.tracks.inspection import inspect_track
+from carrl.tracks.library import VARIABLE, find_file
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 
 DEFAULT_GATE_SPACING = 30.0
@@ -42,6 +43,8 @@ class Track:
         gate_count: how many gates, evenly spaced; the last one is the start line, so passing it completes a lap.
         bridges: where the road crosses itself.
         repeats: how many points of its file were left out, since they repeated the one before.
+        notes: how its file was read, where there was a choice; a phrase for each.
+        reference_line: the line that its file proposes to drive, in driving order, [N, 2], float32, m; or None.
     """
 
     name: str
@@ -51,37 +54,84 @@ class Track:
     gate_count: int
     bridges: tuple[Bridge, ...] = ()
     repeats: int = 0
+    notes: tuple[str, ...] = ()
+    reference_line: Tensor | None = None
 
     def __repr__(self) -> str:
         """One line instead of all its walls."""
         return f"Track({self.name!r}, {self.length:.1f} m, {self.gate_count} gates)"
 
     @staticmethod
-    def load(name_or_path: str | Path, gate_spacing: float | None = None) -> "Track":
-        """Loads a built-in track by name, or a file by path.
+    def load(
+        name_or_path: str | Path,
+        gate_spacing: float | None = None,
+        scale: float = 1.0,
+        width: float | None = None,
+        direction: str | None = None,
+        start_at: Sequence[float] | None = None,
+        walls: str | None = None,
+        circuit: str | None = None,
+    ) -> "Track":
+        """Loads a built-in track by name, or a file by path, or a file of the library by name.
 
         Args:
-            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it. `.npy`: the waypoints of
-                an AWS DeepRacer track. `.yaml` or `.yml`: a drawing, see docs/tracks.md. Any other: CSV with the
-                columns `x_m, y_m, w_tr_right_m, w_tr_left_m`, as in the TUM racetrack database, and its dialects.
+            name_or_path: one of `builtin_names()`, or a file; its ending tells what is in it, see docs/tracks.md; or
+                the name of a file in the folders that the environment variable `CARRL_TRACKS` lists.
             gate_spacing: about how far the gates stand apart, m; by default the gates that the built-in track or the
                 drawing has, and else `DEFAULT_GATE_SPACING`.
+            scale: how many times as large as in the file, such as 10 for the road of a 1:10 car.
+            width: of the road, m, before scaling, for a file that has a line without widths.
+            direction: clockwise or counterclockwise; None as in the file.
+            start_at: x and y, m, after scaling: the start line is at the nearest point of the centreline; None as in
+                the file.
+            walls: of a track of TORCS, road or barriers; None for those of the road.
+            circuit: which one to take of a file that has many.
 
         Raises:
             TrackError: there is no such track, or the file does not describe one.
         """
+        tracks = Track.load_all(name_or_path, gate_spacing, scale, width, direction, start_at, walls)
+        names = [track.name.partition("/")[2] for track in tracks]
+        if circuit is not None and circuit not in names:
+            others = f"it has {_some(names)}" if len(names) > 1 else "it has only one, so leave that out"
+            raise TrackError(f"track '{name_or_path}': there is no circuit '{circuit}' in it; {others}")
+        if circuit is None and len(names) > 1:
+            raise TrackError(
+                f"track '{name_or_path}': it has {len(names)} circuits, {_some(names)}; name one as track.circuit"
+            )
+        return tracks[0 if circuit is None else names.index(circuit)]
+
+    @staticmethod
+    def load_all(
+        name_or_path: str | Path,
+        gate_spacing: float | None = None,
+        scale: float = 1.0,
+        width: float | None = None,
+        direction: str | None = None,
+        start_at: Sequence[float] | None = None,
+        walls: str | None = None,
+    ) -> "list[Track]":
+        """The circuits of a file, of which a few formats may hold many; see `load`."""
         name = str(name_or_path)
         _check_gate_spacing(name, gate_spacing)
         if name in DRAWINGS:
+            given = {"width": width, "walls": walls}
+            check_options(name, [], {key: value for key, value in given.items() if value is not None})
             drawing = DRAWINGS[name]
-            return Track.from_road(name, drawing.centreline().road(drawing.gate_count), gate_spacing)
-        path = Path(name_or_path)
-        if not os.path.exists(path):  # Path.exists raises on a name that is too long or may not be looked up.
-            raise TrackError(
-                f"track '{name}': no file of this path and no built-in track of this name; "
-                f"the built-in ones are {', '.join(builtin_names())}"
-            )
-        return Track.from_road(path.name, read_road(path), gate_spacing)
+            roads = [drawing.centreline().road(drawing.gate_count)]
+        else:
+            path = find_file(name_or_path)
+            if path is None:
+                raise TrackError(
+                    f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
+                    f"{', '.join(builtin_names())}, and {VARIABLE} may list folders of others"
+                )
+            name, roads = path.name, read_roads(path, width=width, walls=walls)
+        return [
+            Track.from_road(each, adjusted(each, road, scale, direction, start_at), gate_spacing)
+            for road in roads
+            for each in [name if road.name is None else f"{name}/{road.name}"]
+        ]
 
     @staticmethod
     def random(
@@ -128,7 +178,9 @@ class Track:
         """
         gates = road.gates if gate_spacing is None else None
         spacing = gate_spacing or road.gate_spacing or DEFAULT_GATE_SPACING
-        return replace(Track.from_walls(name, road.centre, road.left, road.right, spacing, gates), repeats=road.repeats)
+        track = Track.from_walls(name, road.centre, road.left, road.right, spacing, gates)
+        reference = None if road.reference is None else _as_tensor(road.reference)
+        return replace(track, repeats=road.repeats, notes=road.notes, reference_line=reference)
 
     @staticmethod
     def from_centreline(
@@ -182,6 +234,7 @@ class Track:
             centreline=self.centreline * flip,
             left_wall=self.right_wall * flip,
             right_wall=self.left_wall * flip,
+            reference_line=None if self.reference_line is None else self.reference_line * flip,
         )
 
     def reversed(self) -> "Track":
@@ -197,6 +250,7 @@ class Track:
             left_wall=turn_back(self.right_wall),
             right_wall=turn_back(self.left_wall),
             bridges=tuple(bridge.reversed(self.length) for bridge in self.bridges),
+            reference_line=None if self.reference_line is None else turn_back(self.reference_line),
         )
 
     @property
@@ -279,6 +333,11 @@ class Track:
 def builtin_names() -> list[str]:
     """Names of the tracks that come with CarRL, easiest first."""
     return list(DRAWINGS)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Names as part of a sentence, the first of many."""
+    return ", ".join(names[:50]) + (" and more" if len(names) > 50 else "")
 
 
 def _check_gate_spacing(name: str, gate_spacing: float | None) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from carrl.errors import TrackError
-from carrl.files import read_whole
+from carrl.files import read_whole, write_whole
 from carrl.tracks.bridges import find_crossings, segments_of
 from carrl.tracks.centreline import (
     MAX_COORDINATE,
@@ -59,6 +59,22 @@ def read_waypoints(path: Path) -> Road:
         )
     left, right = (inner, outer) if inner_is_left else (outer, inner)
     return Road(centre, cut_abreast(centre, left, True), cut_abreast(centre, right, False), repeats)
+
+
+def write_waypoints(path: Path, centre: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
+    """Writes a road with both walls beside each point, [P, 2] each, m, closed by its first point as those of AWS are.
+
+    Raises:
+        TrackError: it cannot be written there.
+    """
+    way = np.roll(centre, -1, axis=0) - centre
+    middle = centre - centre.mean(axis=0)
+    is_clockwise = (middle[:, 0] * way[:, 1] - middle[:, 1] * way[:, 0]).sum() < 0
+    inner, outer = (right, left) if is_clockwise else (left, right)
+    table = np.concatenate([centre, inner, outer], axis=1)
+    file = io.BytesIO()
+    np.save(file, np.concatenate([table, table[:1]]))
+    write_whole(path, file.getvalue(), TrackError)
 
 
 def _is_left(centre: np.ndarray, border: np.ndarray) -> bool:

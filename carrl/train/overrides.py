@@ -279,7 +279,7 @@ def name_files(argument: str) -> list[str]:
     bare = key.lstrip("+")
     if not equals or not value:
         return [argument]
-    if bare == "track" and any("." in path or os.sep in path for path in _paths_in(value)):
+    if bare == "track" and any("." in path or os.sep in path or _in_library(path) for path in _paths_in(value)):
         return [f"{key}=file", f"track.name_or_path={','.join(map(_track_or_path, _paths_in(value)))}"]
     if bare == "track.folder" and value != "null":
         return [f"{key}={_quote_paths(value)}"]
@@ -297,11 +297,21 @@ def _track_or_path(value: str) -> str:
     Raises:
         ConfigError: it is an option of the track group that is neither.
     """
-    if "." in value or os.sep in value:
-        return quote(os.path.abspath(value))
+    if "." in value or os.sep in value or _in_library(value):
+        return quote(os.path.abspath(_in_library(value) or value))
     if value in options_with("track") and value not in options_with("track", f"name_or_path: {value}"):
         raise ConfigError(f"track={value} does not go with files in one sweep; run a sweep of its own for it")
     return value
+
+
+def _in_library(name: str) -> str | None:
+    """The path of the file of this name in the folders of `CARRL_TRACKS`; built-in tracks come first."""
+    if not os.environ.get("CARRL_TRACKS") or name in options_with("track"):
+        return None
+    from carrl.tracks.library import find_file  # Here, since it imports all formats.
+
+    path = find_file(name)
+    return None if path is None else str(path)
 
 
 def _quote_paths(value: str) -> str:

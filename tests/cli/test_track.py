@@ -10,6 +10,7 @@ from PIL import Image
 from carrl.cli.main import main
 from carrl.config import build_node
 from carrl.tracks.track import Track, builtin_names
+from carrl.train.overrides import name_files
 from tests.configs import compose
 
 NARROW = "corners: [[0, 0], [60, 0], [60, 60], [0, 60]]\ncorner_radius: 10\nwidth: 0.8\n"
@@ -151,3 +152,83 @@ def test_a_random_track_is_an_option_of_the_track_group():
     track = build_node("track", node)
     assert track.name == "random-7"
     assert 297 < track.length < 404
+
+
+# Other formats
+
+
+def test_convert_writes_a_map_and_says_how_well_it_reads_back(folder, capsys):
+    assert main(["track", "convert", "oval", "ring.png", "--scale", "0.1", "--resolution", "0.02"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == ["ring.png", "ring.yaml", "ring_centerline.csv"]
+    assert lines[3].startswith("read back, its walls are within 0.0")
+    assert main(["track", "check", "ring.yaml", "--body-radius", "0.1", "--json"]) == 0
+    (document,) = json.loads(capsys.readouterr().out)
+    assert document["length"] == pytest.approx(Track.load("oval").length / 10, rel=0.01)
+    assert document["notes"] == ["centreline, start and direction from ring_centerline.csv"]
+    assert main(["track", "check", "ring.yaml", "--scale", "10"]) == 0
+    assert "212" in capsys.readouterr().out
+
+
+def test_convert_replaces_nothing_unless_forced(folder, capsys):
+    (folder / "ring.yaml").write_text("mine")
+    assert main(["track", "convert", "oval", "ring.png"]) == 2
+    assert "'ring.yaml' is there already; choose another OUT, or --force" in capsys.readouterr().err
+    assert not (folder / "ring.png").exists()
+    assert main(["track", "convert", "oval", "ring.png", "--force"]) == 0
+    assert main(["track", "convert", "oval", "ring.txt"]) == 2
+    assert "must end in .csv" in capsys.readouterr().err
+
+
+def test_show_draws_what_was_found_in_a_map_that_holds_no_circuit(folder, capsys):
+    Image.new("L", (40, 40), 254).save(folder / "room.png")
+    (folder / "room.yaml").write_text(
+        "image: room.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    )
+    assert main(["track", "show", "room.yaml"]) == 2
+    output = capsys.readouterr()
+    assert output.out == "room-found.png\n"
+    assert "no closed corridor" in output.err
+    with Image.open(folder / "room-found.png") as picture:
+        assert picture.width > 500
+
+
+def test_the_library_is_listed_with_its_bad_files_in_one_table(folder, capsys, monkeypatch):
+    (folder / "mine" / "deep").mkdir(parents=True)
+    monkeypatch.setenv("CARRL_TRACKS", str(folder / "mine"))
+    assert main(["track", "convert", "oval", "mine/deep/Ring.csv"]) == 0
+    for name in ("bad.csv", "worse.npy"):
+        (folder / "mine" / name).write_text("nothing")
+    capsys.readouterr()
+    assert main(["track", "list"]) == 2
+    output = capsys.readouterr()
+    assert "deep/Ring.csv" in output.out and "serpentine" in output.out
+    assert "2 files that are no tracks" in output.err
+    assert "bad.csv" in output.err and "worse.npy" in output.err
+    assert main(["track", "check", "Ring"]) == 0
+    assert main(["track", "show", "Ring"]) == 0
+
+
+def test_a_run_takes_a_track_of_the_library_by_its_name_and_at_any_scale(folder, monkeypatch):
+    (folder / "mine").mkdir()
+    monkeypatch.setenv("CARRL_TRACKS", str(folder / "mine"))
+    assert main(["track", "convert", "oval", "mine/Ring.csv"]) == 0
+    path = str(folder / "mine" / "Ring.csv")
+    assert name_files("track=Ring") == ["track=file", f"track.name_or_path='{path}'"]
+    assert name_files("track=Ring,oval") == ["track=file", f"track.name_or_path='{path}',oval"]
+    assert name_files("track=oval") == ["track=oval"]
+    config = compose("track=file", f"track.name_or_path={path}", "track.scale=2", "track.start_at=[0,0]")
+    track = build_node("track", config["track"])
+    assert track.length == pytest.approx(2 * Track.load("oval").length, rel=1e-3)
+
+
+def test_check_looks_at_all_circuits_of_a_file_or_at_the_one_that_is_named(folder, capsys):
+    line = {"type": "LineString", "coordinates": [[0, 0], [0.002, 0], [0.002, 0.002], [0, 0.002], [0, 0]]}
+    features = [{"type": "Feature", "properties": {"id": name}, "geometry": line} for name in ("one", "two")]
+    (folder / "rings.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert main(["track", "check", "rings.geojson", "--json"]) == 0
+    assert [each["name"] for each in json.loads(capsys.readouterr().out)] == ["rings.geojson/one", "rings.geojson/two"]
+    assert main(["track", "check", "rings.geojson", "--circuit", "two"]) == 0
+    assert "no widths, so 12 m unless track.width says otherwise" in capsys.readouterr().out
+    assert main(["track", "show", "rings.geojson"]) == 2
+    assert "it has 2 circuits, one, two; name one as track.circuit" in capsys.readouterr().err

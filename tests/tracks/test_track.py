@@ -306,7 +306,7 @@ def test_a_centreline_file_loads_however_it_is_written(load_text, content: str):
         (("a," * 10_000 + "\n") * 50, "the header in line 1 has no column x_m, .* it has a, a, a"),
         ("# " + "a," * 100_000 + "\n" + SQUARE.replace("3\n", "3,1\n"), "the header in line 1 has no column x_m"),
         ("# a\n" * 1001, "more than 100000 points or 1000 comments"),
-        ('{"type": "FeatureCollection"}', "this is JSON or XML; CarRL reads .csv, .npy and .yaml"),
+        ('{"type": "FeatureCollection"}', "this is JSON or XML; name it .geojson, .xml or .xodr"),
         ('<?xml version="1.0"?>\n<params/>', "this is JSON or XML"),
         ("", "empty"),
         ("\n \n", "empty"),

@@ -204,7 +204,7 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         ("when: 2024-99-99", "not a YAML text file"),
         (
             "image: map.png\nresolution: 0.05\n",
-            "this is a map of ROS, a picture without a centreline; CarRL reads .csv",
+            "this map lacks origin, negate, occupied_thresh, free_thresh; nav2's map saver writes negate: 0",
         ),
         (SIZES, "it has neither; it must have one of corners and points"),
         (SQUARE + RING + SIZES, "it has corners and points; it must have one of"),
@@ -230,7 +230,10 @@ def test_a_drawing_says_how_many_gates_it_has_or_how_far_apart_they_stand(load):
         ("corners: [[0, 0], [60, 0], [1000000, 60]]\n" + SIZES, "corners: row 3: x is 1000000; .* at most 100000"),
         ("corners: [[0, 0], [60, 0], [60, 0], [0, 0]]\n" + SIZES, "2 corners; a closed road needs at least 3"),
         ("corners: [[0, 0], [60, 60], [60, 0], [0, 60]]\n" + SIZES, "the corners' outline crosses itself"),
-        (RING, r"points: row 1 is \[50, 0\]; it must be \[x, y, width\], or width must be given"),
+        (
+            RING,
+            r"points: row 1 is \[50, 0\]; it must be \[x, y, width\] or \[x, y, right, left\], or width must be given",
+        ),
         ("points: [[50, 0, 4], [0, 50, 0], [-50, 0, 4]]", "points: row 2: width is 0 m; widths must be positive"),
         ("points: [[50, 0, 4], [0, 50, 4], [-50, 0, 4]]\nwidth: 4", r"row 1 is \[50, 0, 4\]; it must be \[x, y\], si"),
         ("points: [[-0.01, 0], [0.01, 0], [-0.01, 0], [0.01, 0]]\nwidth: 9", "too small to be drawn, or turns back on"),

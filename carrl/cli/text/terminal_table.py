@@ -19,8 +19,8 @@ UNLIMITED = 10_000
 class TextConsole(Console):
     """A console that prints text as it is, for "[3]" is a shape here, and no style."""
 
-    def __init__(self) -> None:
-        super().__init__(markup=False, highlight=False, emoji=False)
+    def __init__(self, to_stderr: bool = False) -> None:
+        super().__init__(markup=False, highlight=False, emoji=False, stderr=to_stderr)
         if not self.is_terminal and "COLUMNS" not in os.environ:
             self.width = PIPE_WIDTH
 
@@ -30,7 +30,11 @@ class TextConsole(Console):
 
 
 def print_table(
-    title: str, header: Sequence[str], rows: Sequence[Sequence[str]], figures: Collection[str] | None = None
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    figures: Collection[str] | None = None,
+    to_stderr: bool = False,
 ) -> None:
     """Prints a table under its title; its text may be anything that a file holds.
 
@@ -39,8 +43,9 @@ def print_table(
         header: of the columns; all empty for none.
         rows: what stands in the columns.
         figures: of the columns that have numbers, which end at their right; None for all but the first one.
+        to_stderr: whether it is no part of what was asked for, but what went wrong.
     """
-    console = TextConsole()
+    console = TextConsole(to_stderr)
     if not console.is_terminal:
         console.width = UNLIMITED
     table = Table(show_header=any(header))
