@@ -74,9 +74,7 @@ def _corridor(outer: np.ndarray, inner: np.ndarray, islands: list[np.ndarray], m
         middle = _known(middle, road)
     _refuse_side_arms(middle, [inner, outer])
     square = normals(middle)
-    away = [KDTree(side[0]).query(middle)[0] for side in (left, right)]
-    reach = 2 * _SIDE_ARM * np.maximum(*away)[:, None]
-    walls = [_wall(middle, sign * square * reach, side) for sign, side in ((1, left), (-1, right))]
+    walls = [_wall(middle, outward, side) for outward, side in ((square, left), (-square, right))]
     centre, inner_wall, outer_wall = _finer(middle, walls)
     return Corridor(centre, inner_wall, outer_wall, len(islands))
 
@@ -218,16 +216,15 @@ class _Wall(NamedTuple):
     is_island: np.ndarray
 
 
-def _wall(middle: np.ndarray, rays: np.ndarray, own: list[np.ndarray]) -> _Wall:
-    """The wall of a side beside the middle [P, 2].
+def _wall(middle: np.ndarray, outward: np.ndarray, own: list[np.ndarray]) -> _Wall:
+    """The wall of a side beside the middle [P, 2], towards which unit vectors [P, 2] point.
 
     It is where rays square to the middle meet the first ring of the side. Where they meet it far off, since they pass
     beyond the tip of a hairpin or look into a bay, the wall goes on along the ring. Islands stand before it.
     """
-    nearest = KDTree(own[0]).query(middle)[0]
+    rays = outward * (_NEAR * KDTree(own[0]).query(middle)[0] + 1)[:, None]
     share, place = cast(middle, rays, own[0])
-    found = share * np.linalg.norm(rays, axis=1) < _NEAR * nearest + 1
-    places = _steady(place, found, arc_lengths(own[0])[-1], len(middle))
+    places = _steady(place, np.isfinite(share), arc_lengths(own[0])[-1], len(middle))
     wall, is_island = point_at(own[0], places[:-1]), np.zeros(len(middle), dtype=bool)
     for island in own[1:]:
         nearer, place = cast(middle, rays, island)

@@ -21,6 +21,8 @@ SMOOTHING = 0.5
 MOST_ISLANDS, MOST_PIECES = 128, 200_000
 _ORNAMENT = 0.05
 """A closed corridor smaller than this share of the largest one is none, but the inside of a letter, say."""
+_ON_RIM = 0.1
+"""Share of the picture's edge that a road may touch."""
 _BLOCKS = 16
 """Of a picture, of which one at a time is counted, which takes eight times its memory."""
 _PASSAGE = 0.25
@@ -62,20 +64,12 @@ def find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarra
     sizes = np.zeros(count + 1, dtype=np.int64)
     for block in np.array_split(labels, _BLOCKS):
         sizes += np.bincount(block.ravel(), minlength=count + 1)
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    on_rim = np.bincount(rim, minlength=count + 1)
     sizes[0] = 0
-    rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    sizes[rim] = 0
-    loops: list[tuple[int, list[np.ndarray]]] = []
-    for label in np.argsort(-sizes)[:8]:
-        if sizes[label] < max(8, _ORNAMENT * max((size for size, _ in loops), default=0)):
-            break
-        rows, columns = _bounds(labels, int(label))
-        part = np.pad(labels[rows, columns] == label, 1)
-        shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
-        rings = trace(part, shades)
-        if _loops_of(rings):
-            corner = np.array([columns.start - 1, rows.start - 1])
-            loops.append((int(sizes[label]), [ring + corner for ring in rings]))
+    loops = _loops_among(labels, np.where(on_rim == 0, sizes, 0), occupancy)
+    if not loops:  # then one that touches the picture's edge here and there, but is not all that lies outside
+        loops = _loops_among(labels, np.where(on_rim <= _ON_RIM * len(rim), sizes, 0), occupancy)
     if not loops:
         raise CorridorError(
             "no closed corridor: no free space inside the picture leads around something that is larger than the "
@@ -103,6 +97,24 @@ def find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarra
             place,
         )
     return rings[0], rings[around[0]], islands
+
+
+def _loops_among(
+    labels: np.ndarray, sizes: np.ndarray, occupancy: np.ndarray | None
+) -> list[tuple[int, list[np.ndarray]]]:
+    """The size and the rings of each large piece of free space that is a loop, of those that have a size here."""
+    loops: list[tuple[int, list[np.ndarray]]] = []
+    for label in np.argsort(-sizes)[:8]:
+        if sizes[label] < max(8, _ORNAMENT * max((size for size, _ in loops), default=0)):
+            break
+        rows, columns = _bounds(labels, int(label))
+        part = np.pad(labels[rows, columns] == label, 1)
+        shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
+        rings = trace(part, shades)
+        if _loops_of(rings):
+            corner = np.array([columns.start - 1, rows.start - 1])
+            loops.append((int(sizes[label]), [ring + corner for ring in rings]))
+    return loops
 
 
 def _bounds(labels: np.ndarray, label: int) -> tuple[slice, slice]:
