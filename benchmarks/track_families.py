@@ -17,7 +17,7 @@ from typing import NamedTuple
 from benchmarks import figures
 from benchmarks.options import Parser, positive, tell
 from carrl.errors import CarrlError, TrackError
-from carrl.evaluation.rollout import TrackEvaluator, rule_policy
+from carrl.evaluation.rollout import rollout_laps, rule_policy
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import steer3
@@ -120,8 +120,8 @@ def lap(track: Track, starts: int) -> float:
     car = Vehicle(speed=0.5 * width, time_step=0.1, turn_radius=0.35 * width, body_radius=0.15 * width / 2)
     sensor = Sensor(max_range=width)
     world = World(Circuits.only(track), car, sensor, steer3(), rays_only(), paper_reward())
-    (laps,) = TrackEvaluator(world, [track], starts).evaluate(rule_policy)
-    return min(1.0 if each.lap_completed else min(each.progress, 0.999) for each in laps)
+    drives = rollout_laps(world, world.simulator(track), rule_policy, starts=starts)
+    return min(1.0 if each.lap_completed else min(each.progress, 0.999) for each in drives)
 
 
 def _told(what: str, sentences: dict[str, str]) -> list[str]:
