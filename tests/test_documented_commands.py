@@ -137,5 +137,32 @@ def test_a_documented_command_runs(words, workplace, made, capsys):
     assert code == 0, capsys.readouterr().err
 
 
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch):
+    (code,) = re.findall(r"^```python\n(.*?)^```", Path("README.md").read_text(), re.M | re.S)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    short = [f"{key}={value}" for key, value in SHORT.items()]
+    exec(code.replace('loss="double_dqn")', 'loss="double_dqn", overrides=SHORT)'), {"SHORT": short}, names)
+    assert names["action"] in (0, 1, 2)
+    assert len(names["transitions"]) == int(SHORT["trainer.frames"])
+
+
 def test_commands_are_found_in_the_pages():
     assert {"train", "evaluate", "log", "track", "report", "tune"} <= {words.values[0][1] for words in COMMANDS}
+
+
+@pytest.mark.parametrize("page", [*PAGES, Path("CHANGELOG.md"), Path("SECURITY.md")], ids=str)
+def test_what_a_page_names_is_there(page):
+    text = page.read_text()
+    links = {page.parent / link for link in re.findall(r"\]\(([^)#:\s]+)[^):]*\)", text)}
+    files = {Path(name) for name in re.findall(r"`((?:carrl|conf|tests|scripts|examples|benchmarks)/[\w/.]+)`", text)}
+    modules = {Path(*name.split(".")) for name in re.findall(r"`(carrl(?:\.[a-z_0-9]+)+)`", text)}
+    missing = [str(path) for path in links | files if not path.exists()]
+    missing += [
+        str(path)
+        for path in modules
+        if not any(
+            each.exists() for each in (path, path.with_suffix(".py"), path.parent, path.parent.with_suffix(".py"))
+        )
+    ]
+    assert not missing

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
@@ -346,4 +345,6 @@ def _identity(decoded: Decoded) -> tuple[object, ...]:
     content = decoded.message.data
     if decoded.batch:  # most of a log: a checksum and the place are enough, and quick
         return decoded.number, decoded.message.log_time, zlib.crc32(content)
+    from hashlib import blake2b  # here, since it loads OpenSSL, which `carrl log info` need not wait for
+
     return decoded.topic, decoded.message.log_time, blake2b(content, digest_size=16).digest()

@@ -1,8 +1,6 @@
-"""Diagrams, and learning curves for one run or many: single returns faintly, means of blocks of episodes boldly.
+"""Diagrams, and learning curves as in the paper's figure 3: returns faintly, means of blocks of episodes boldly.
 
 Shapes: `E` episodes, numbered from 1, `K` blocks. Returns are undiscounted sums of rewards.
-
-Source: the paper's figure 3, "average reward per 20 episodes (during training)".
 """
 
 import math
