@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from carrl.errors import TrackError
+from carrl.errors import TrackError, shown
 from carrl.tracks.formats import READERS
 from carrl.tracks.library import files_below
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, WIDTH
@@ -91,6 +91,8 @@ def make_circuits(
         Track.random(each, corner_radius, width, length, gate_spacing, widening, corner_spacing, hairpins)
         for each in range(seed, seed + count + validation)
     ]
+    if folder is None and scale != 1:
+        raise TrackError(f"track.scale is {shown(scale)}, but track.folder names no folder to scale; leave it out")
     named = [] if folder is None else _load_or_warn(Path(folder), gate_spacing, scale)
     training = (*drawn[:count], *named)
     if not training:

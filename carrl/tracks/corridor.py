@@ -15,23 +15,16 @@ from shapely import Polygon
 
 from carrl.tracks.centreline import normals
 from carrl.tracks.drawing_file import smooth_curve
-from carrl.tracks.rings import CorridorError, arc_lengths, cast, point_at, resampled, signed_area, trace
+from carrl.tracks.rings import CorridorError, arc_lengths, cast, find_loop, pixel_of, point_at, resampled, signed_area
 
 MOST_POINTS = 40_000
 """Of the centreline, about as many pixels."""
-MOST_ISLANDS, MOST_PIECES = 128, 200_000
 _MOST_SITES = 100_000
 _SIDE_ARM = 4.0
 """A place this many half widths of the road from its middle lies in a side arm."""
-_ORNAMENT = 0.05
-"""A closed corridor smaller than this share of the largest one is none, but the inside of a letter, say."""
 _NEAR = 1.5
 """A wall is looked for square to the middle up to this many times as far as it is at its nearest."""
-_BLOCKS = 16
-"""Of a picture, of which one at a time is counted, which takes eight times its memory."""
 _MOST_PIECES = 8
-_PASSAGE = 0.25
-"""A way around a hole that is narrower than this share of the road's greatest width is none."""
 _STEP = 0.5
 """About how far points of the centreline stand apart, pixels."""
 
@@ -65,7 +58,7 @@ def find_corridor(free: np.ndarray, occupancy: np.ndarray | None, middle: np.nda
         CorridorError: there is none, it forks or has a side arm, there are several, or the known line is not in it.
     """
     try:
-        return _corridor(*_find_loop(free, occupancy), middle)
+        return _corridor(*find_loop(free, occupancy), middle)
     except CorridorError as error:
         raise CorridorError(str(error), error.rings, error.place, free) from None
 
@@ -81,88 +74,9 @@ def _corridor(outer: np.ndarray, inner: np.ndarray, islands: list[np.ndarray], m
         middle = _known(middle, road)
     _refuse_side_arms(middle, [inner, outer])
     square = normals(middle)
-    away = [KDTree(side[0]).query(middle)[0] for side in (left, right)]
-    reach = 2 * _SIDE_ARM * np.maximum(*away)[:, None]
-    walls = [_wall(middle, sign * square * reach, side) for sign, side in ((1, left), (-1, right))]
+    walls = [_wall(middle, outward, side) for outward, side in ((square, left), (-square, right))]
     centre, inner_wall, outer_wall = _finer(middle, walls)
     return Corridor(centre, inner_wall, outer_wall, len(islands))
-
-
-def _find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """The rings around the corridor, around what it encloses, and around each island in it.
-
-    Raises:
-        CorridorError: as `find_corridor` does.
-    """
-    labels, count = ndimage.label(free)
-    if count > MOST_PIECES:
-        raise CorridorError(f"its free space is in {count:,} pieces; clean the picture of specks")
-    sizes = np.zeros(count + 1, dtype=np.int64)
-    for block in np.array_split(labels, _BLOCKS):
-        sizes += np.bincount(block.ravel(), minlength=count + 1)
-    sizes[0] = 0
-    rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    sizes[rim] = 0
-    loops: list[tuple[int, list[np.ndarray]]] = []
-    for label in np.argsort(-sizes)[:8]:
-        if sizes[label] < max(8, _ORNAMENT * max((size for size, _ in loops), default=0)):
-            break
-        rows, columns = _bounds(labels, int(label))
-        part = np.pad(labels[rows, columns] == label, 1)
-        shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
-        rings = trace(part, shades)
-        if _loops_of(rings):
-            corner = np.array([columns.start - 1, rows.start - 1])
-            loops.append((int(sizes[label]), [ring + corner for ring in rings]))
-    if not loops:
-        raise CorridorError(
-            "no closed corridor: no free space inside the picture leads around something that is larger than the "
-            "corridor is wide; draw both walls of the whole lap, and keep the road off the picture's edge"
-        )
-    if len(loops) > 1:
-        sizes_of = " and ".join(f"{size:,}" for size, _ in loops)
-        raise CorridorError(
-            f"{len(loops)} closed corridors, of {sizes_of} free pixels; fill all but one of them",
-            [ring for _, rings in loops for ring in rings[:2]],
-        )
-    rings = loops[0][1]
-    around = _loops_of(rings)
-    islands = [ring for index, ring in enumerate(rings[1:], start=1) if index not in around[:1]]
-    if len(islands) > MOST_ISLANDS:
-        raise CorridorError(
-            f"{len(islands)} islands in the road; clean the picture of specks, {MOST_ISLANDS} at the most", rings
-        )
-    if len(around) > 1:
-        place = rings[around[1]].mean(axis=0)
-        raise CorridorError(
-            f"the corridor forks and has {len(around)} loops, one of them around {_pixel(place)}; "
-            "fill the way that is not to be driven",
-            [rings[0], *(rings[index] for index in around)],
-            place,
-        )
-    return rings[0], rings[around[0]], islands
-
-
-def _bounds(labels: np.ndarray, label: int) -> tuple[slice, slice]:
-    """The rows and columns in which a piece of free space lies."""
-    rows = np.flatnonzero([(row == label).any() for row in labels])
-    low, high = int(rows[0]), int(rows[-1]) + 1
-    columns = np.flatnonzero((labels[low:high] == label).any(axis=0))
-    return slice(low, high), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-def _loops_of(rings: list[np.ndarray]) -> list[int]:
-    """Which rings a road leads around: the outer one is the first, and the others are holes, the largest first.
-
-    A hole that is no longer than the road is wide, or that leaves hardly any room on one side, is an island in it.
-    """
-    if len(rings) == 1:
-        return []
-    outer, holes = rings[0], rings[1:]
-    width = float(KDTree(np.concatenate(holes)).query(outer)[0].max())
-    long = [index for index, hole in enumerate(holes, start=1) if np.ptp(hole, axis=0).max() > width]
-    walls = KDTree(np.concatenate([outer, *(rings[index] for index in long[:1])]))
-    return long[:1] + [index for index in long[1:] if walls.query(rings[index])[0].min() > _PASSAGE * width]
 
 
 def _sides(
@@ -264,7 +178,7 @@ def _known(line: np.ndarray, road: Polygon) -> np.ndarray:
     if not inside.all():
         place = even[np.flatnonzero(~inside)[0]]
         rings = [np.array(ring.coords) for ring in (road.exterior, *road.interiors)]
-        raise CorridorError(f"the given centreline leaves the road at {_pixel(place)}", rings, place)
+        raise CorridorError(f"the given centreline leaves the road at {pixel_of(place)}", rings, place)
     if not Polygon(even).contains(Polygon(road.interiors[0]).representative_point()):
         raise CorridorError("the given centreline does not go around with the road")
     return even if signed_area(even) > 0 else even[::-1]
@@ -279,15 +193,11 @@ def _refuse_side_arms(middle: np.ndarray, rings: list[np.ndarray]) -> None:
         deepest = int((away / room[nearest]).argmax())
         if away[deepest] > _SIDE_ARM * max(room[nearest[deepest]], float(np.median(room))):
             raise CorridorError(
-                f"the corridor branches: a side arm ends at {_pixel(ring[deepest])}, {away[deepest]:.0f} pixels from "
+                f"the corridor branches: a side arm ends at {pixel_of(ring[deepest])}, {away[deepest]:.0f} pixels from "
                 "the middle of the road; fill it",
                 [*rings, middle],
                 ring[deepest],
             )
-
-
-def _pixel(point: np.ndarray) -> str:
-    return f"column {point[0]:.0f}, row {point[1]:.0f} from the bottom"
 
 
 class _Wall(NamedTuple):
@@ -306,16 +216,15 @@ class _Wall(NamedTuple):
     is_island: np.ndarray
 
 
-def _wall(middle: np.ndarray, rays: np.ndarray, own: list[np.ndarray]) -> _Wall:
-    """The wall of a side beside the middle [P, 2].
+def _wall(middle: np.ndarray, outward: np.ndarray, own: list[np.ndarray]) -> _Wall:
+    """The wall of a side beside the middle [P, 2], towards which unit vectors [P, 2] point.
 
     It is where rays square to the middle meet the first ring of the side. Where they meet it far off, since they pass
     beyond the tip of a hairpin or look into a bay, the wall goes on along the ring. Islands stand before it.
     """
-    nearest = KDTree(own[0]).query(middle)[0]
+    rays = outward * (_NEAR * KDTree(own[0]).query(middle)[0] + 1)[:, None]
     share, place = cast(middle, rays, own[0])
-    found = share * np.linalg.norm(rays, axis=1) < _NEAR * nearest + 1
-    places = _steady(place, found, arc_lengths(own[0])[-1], len(middle))
+    places = _steady(place, np.isfinite(share), arc_lengths(own[0])[-1], len(middle))
     wall, is_island = point_at(own[0], places[:-1]), np.zeros(len(middle), dtype=bool)
     for island in own[1:]:
         nearer, place = cast(middle, rays, island)

@@ -3,9 +3,12 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from carrl.errors import TrackError
-from carrl.tracks.formats import READERS
+from carrl.tracks.centreline import Road
+from carrl.tracks.drawing_file import DRAWINGS
+from carrl.tracks.formats import READERS, check_options, read_roads
 
 VARIABLE = "CARRL_TRACKS"
 _PARTS = ("_centerline", "_centreline", "_raceline")
@@ -46,6 +49,27 @@ def find_file(name_or_path: str | Path) -> Path | None:
             f"{', '.join(map(str, exact[:5]))}; give the path of one of them"
         )
     return exact[0] if exact else None
+
+
+def roads_of(name_or_path: str | Path, **options: Any) -> list[tuple[str, Road]]:
+    """The roads of a built-in track or of a file, each with its name; the options are those of `read_roads`.
+
+    Raises:
+        TrackError: there is no such track or file, it does not describe a road, or it does not have such an option.
+    """
+    name = str(name_or_path)
+    if name in DRAWINGS:
+        check_options(name, [], {key: value for key, value in options.items() if value is not None})
+        drawing = DRAWINGS[name]
+        return [(name, drawing.centreline().road(drawing.gate_count))]
+    path = find_file(name_or_path)
+    if path is None:
+        raise TrackError(
+            f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
+            f"{', '.join(DRAWINGS)}, and {VARIABLE} may list folders of others"
+        )
+    roads = read_roads(path, **options)
+    return [(path.name if road.name is None else f"{path.name}/{road.name}", road) for road in roads]
 
 
 def files_below(folder: Path) -> Iterator[Path]:

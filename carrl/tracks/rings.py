@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 from scipy import ndimage
+from scipy.spatial import KDTree
 from shapely import STRtree
 
 from carrl.errors import TrackError
@@ -17,6 +18,15 @@ MOST_EDGES = 300_000
 """Between the free pixels of a corridor and others."""
 SMOOTHING = 0.5
 """How far a ring's points may be moved from the edges between pixels in order to be smooth, pixels."""
+MOST_ISLANDS, MOST_PIECES = 128, 200_000
+_ORNAMENT = 0.05
+"""A closed corridor smaller than this share of the largest one is none, but the inside of a letter, say."""
+_ON_RIM = 0.1
+"""Share of the picture's edge that a road may touch."""
+_BLOCKS = 16
+"""Of a picture, of which one at a time is counted, which takes eight times its memory."""
+_PASSAGE = 0.25
+"""A way around a hole that is narrower than this share of the road's greatest width is none."""
 _EAST, _NORTH, _WEST, _SOUTH = range(4)
 _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _FEWEST_SMOOTHED = 16
@@ -40,6 +50,98 @@ class CorridorError(TrackError):
     ) -> None:
         super().__init__(message)
         self.rings, self.place, self.free = rings, place, free
+
+
+def find_loop(free: np.ndarray, occupancy: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """The rings around the corridor, around what it encloses, and around each island in it.
+
+    Raises:
+        CorridorError: as `find_corridor` does.
+    """
+    labels, count = ndimage.label(free)
+    if count > MOST_PIECES:
+        raise CorridorError(f"its free space is in {count:,} pieces; clean the picture of specks")
+    sizes = np.zeros(count + 1, dtype=np.int64)
+    for block in np.array_split(labels, _BLOCKS):
+        sizes += np.bincount(block.ravel(), minlength=count + 1)
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    on_rim = np.bincount(rim, minlength=count + 1)
+    sizes[0] = 0
+    loops = _loops_among(labels, np.where(on_rim == 0, sizes, 0), occupancy)
+    if not loops:  # then one that touches the picture's edge here and there, but is not all that lies outside
+        loops = _loops_among(labels, np.where(on_rim <= _ON_RIM * len(rim), sizes, 0), occupancy)
+    if not loops:
+        raise CorridorError(
+            "no closed corridor: no free space inside the picture leads around something that is larger than the "
+            "corridor is wide; draw both walls of the whole lap, and keep the road off the picture's edge"
+        )
+    if len(loops) > 1:
+        sizes_of = " and ".join(f"{size:,}" for size, _ in loops)
+        raise CorridorError(
+            f"{len(loops)} closed corridors, of {sizes_of} free pixels; fill all but one of them",
+            [ring for _, rings in loops for ring in rings[:2]],
+        )
+    rings = loops[0][1]
+    around = _loops_of(rings)
+    islands = [ring for index, ring in enumerate(rings[1:], start=1) if index not in around[:1]]
+    if len(islands) > MOST_ISLANDS:
+        raise CorridorError(
+            f"{len(islands)} islands in the road; clean the picture of specks, {MOST_ISLANDS} at the most", rings
+        )
+    if len(around) > 1:
+        place = rings[around[1]].mean(axis=0)
+        raise CorridorError(
+            f"the corridor forks and has {len(around)} loops, one of them around {pixel_of(place)}; "
+            "fill the way that is not to be driven",
+            [rings[0], *(rings[index] for index in around)],
+            place,
+        )
+    return rings[0], rings[around[0]], islands
+
+
+def _loops_among(
+    labels: np.ndarray, sizes: np.ndarray, occupancy: np.ndarray | None
+) -> list[tuple[int, list[np.ndarray]]]:
+    """The size and the rings of each large piece of free space that is a loop, of those that have a size here."""
+    loops: list[tuple[int, list[np.ndarray]]] = []
+    for label in np.argsort(-sizes)[:8]:
+        if sizes[label] < max(8, _ORNAMENT * max((size for size, _ in loops), default=0)):
+            break
+        rows, columns = _bounds(labels, int(label))
+        part = np.pad(labels[rows, columns] == label, 1)
+        shades = None if occupancy is None else np.pad(occupancy[rows, columns], 1, constant_values=255)
+        rings = trace(part, shades)
+        if _loops_of(rings):
+            corner = np.array([columns.start - 1, rows.start - 1])
+            loops.append((int(sizes[label]), [ring + corner for ring in rings]))
+    return loops
+
+
+def _bounds(labels: np.ndarray, label: int) -> tuple[slice, slice]:
+    """The rows and columns in which a piece of free space lies."""
+    rows = np.flatnonzero([(row == label).any() for row in labels])
+    low, high = int(rows[0]), int(rows[-1]) + 1
+    columns = np.flatnonzero((labels[low:high] == label).any(axis=0))
+    return slice(low, high), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _loops_of(rings: list[np.ndarray]) -> list[int]:
+    """Which rings a road leads around: the outer one is the first, and the others are holes, the largest first.
+
+    A hole that is no longer than the road is wide, or that leaves hardly any room on one side, is an island in it.
+    """
+    if len(rings) == 1:
+        return []
+    outer, holes = rings[0], rings[1:]
+    width = float(KDTree(np.concatenate(holes)).query(outer)[0].max())
+    long = [index for index, hole in enumerate(holes, start=1) if np.ptp(hole, axis=0).max() > width]
+    walls = KDTree(np.concatenate([outer, *(rings[index] for index in long[:1])]))
+    return long[:1] + [index for index in long[1:] if walls.query(rings[index])[0].min() > _PASSAGE * width]
+
+
+def pixel_of(point: np.ndarray) -> str:
+    """A place [2] in the picture, in words."""
+    return f"column {point[0]:.0f}, row {point[1]:.0f} from the bottom"
 
 
 def trace(free: np.ndarray, occupancy: np.ndarray | None) -> list[np.ndarray]:

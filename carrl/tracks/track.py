@@ -19,9 +19,8 @@ from carrl.tracks.adjust import adjusted
 from carrl.tracks.bridges import Bridge, check_road, cut_folds, find_bridges
 from carrl.tracks.centreline import Centreline, Road, Routes, gap_of
 from carrl.tracks.drawing_file import DRAWINGS, MIN_GATE_SPACING
-from carrl.tracks.formats import check_options, read_roads
 from carrl.tracks.inspection import inspect_track
-from carrl.tracks.library import VARIABLE, find_file
+from carrl.tracks.library import roads_of
 from carrl.tracks.random_track import CORNER_RADIUS, CORNER_SPACING, LENGTH, MOST_DRAWS, WIDTH, random_centrelines
 
 DEFAULT_GATE_SPACING = 30.0
@@ -112,25 +111,10 @@ class Track:
         walls: str | None = None,
     ) -> "list[Track]":
         """The circuits of a file, of which a few formats may hold many; see `load`."""
-        name = str(name_or_path)
-        _check_gate_spacing(name, gate_spacing)
-        if name in DRAWINGS:
-            given = {"width": width, "walls": walls}
-            check_options(name, [], {key: value for key, value in given.items() if value is not None})
-            drawing = DRAWINGS[name]
-            roads = [drawing.centreline().road(drawing.gate_count)]
-        else:
-            path = find_file(name_or_path)
-            if path is None:
-                raise TrackError(
-                    f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
-                    f"{', '.join(builtin_names())}, and {VARIABLE} may list folders of others"
-                )
-            name, roads = path.name, read_roads(path, width=width, walls=walls)
+        _check_gate_spacing(str(name_or_path), gate_spacing)
         return [
             Track.from_road(each, adjusted(each, road, scale, direction, start_at), gate_spacing)
-            for road in roads
-            for each in [name if road.name is None else f"{name}/{road.name}"]
+            for each, road in roads_of(name_or_path, width=width, walls=walls)
         ]
 
     @staticmethod

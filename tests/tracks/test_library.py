@@ -5,7 +5,7 @@ import os
 import pytest
 
 from carrl.errors import TrackError
-from carrl.tracks.circuits import load_folder
+from carrl.tracks.circuits import load_folder, make_circuits
 from carrl.tracks.convert import convert
 from carrl.tracks.library import find_file
 from carrl.tracks.track import Track
@@ -61,6 +61,11 @@ def test_what_belongs_to_a_track_is_no_circuit_of_its_own(folders):
     assert found.refused == {}
     (folders / "other" / "Lone_raceline.csv").write_text("# x_m,y_m\n0,0\n9,0\n9,9\n")
     assert [path.name for path in load_folder(folders / "other").refused] == ["Lone_raceline.csv"]
+
+
+def test_a_scale_without_a_folder_is_refused_and_not_ignored():
+    with pytest.raises(TrackError, match=r"track\.scale is 10, but track\.folder names no folder to scale"):
+        make_circuits(count=1, validation=1, scale=10)
 
 
 def test_a_folder_is_scaled_as_a_whole(folders):

@@ -175,6 +175,11 @@ def test_what_is_no_one_closed_corridor_is_refused_by_name(tmp_path, picture, sa
     assert error.value.free is not None
 
 
+def test_a_road_may_touch_the_edge_of_the_picture_here_and_there(tmp_path):
+    track = Track.load(write_map(tmp_path, ring(inner=50, outer=79.7)))
+    assert radii(track.centreline, 4.0) == pytest.approx(3.25, abs=0.04)
+
+
 def test_an_island_in_the_road_joins_the_nearer_wall_and_the_road_goes_by_on_the_wider_side(tmp_path):
     picture = road(*LOOP)
     picture[22:27, 100:106] = 0  # near the outer wall
