@@ -25,7 +25,7 @@ class Contestant:
         name: by which the command line chooses it.
         title: by which the table shows it.
         frames: env steps in one measurement, for each seed; enough for 15 to 25 seconds on a slow core.
-        seeds: how many agents it trains at once.
+        seeds: how many replicates it trains at once.
         train: makes this many env steps with each seed, in a process of its own.
     """
 

@@ -73,7 +73,7 @@ def test_places_are_counted_in_a_run_that_is_only_watched(tmp_path, monkeypatch)
 
 
 CONTENTS = RunContents(
-    state={"learner.agents.0.loss.weight": b"1", "cars.pose": b"2"},
+    state={"learner.replicates.0.loss.weight": b"1", "cars.pose": b"2"},
     networks={"best.pt": b"3", "last.pt": b"4"},
     tables={"metrics.csv": [{"episode": "1"}]},
     log=LogContents("5", [b"6"], [b"7"], [b"8"], {"track.json": b"{}"}, {"run": "5", "seed": "0"}),
@@ -89,8 +89,8 @@ def with_log(**changes):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        (replace(CONTENTS, state=CONTENTS.state | {"learner.agents.0.loss.weight": b"0"}), "final parameters are"),
-        (replace(CONTENTS, state={"learner.agents.0.loss.weight": b"1"}), "state.pt is another one in cars.pose"),
+        (replace(CONTENTS, state=CONTENTS.state | {"learner.replicates.0.loss.weight": b"0"}), "final parameters are"),
+        (replace(CONTENTS, state={"learner.replicates.0.loss.weight": b"1"}), "state.pt is another one in cars.pose"),
         (replace(CONTENTS, networks=CONTENTS.networks | {"best.pt": b"0"}), "best.pt: not those"),
         (replace(CONTENTS, tables={"metrics.csv": []}), "metrics.csv: not those"),
         (replace(CONTENTS, summary={"finished": False}), "the run is not finished"),

@@ -88,7 +88,7 @@ def run_to_the_end(overrides: Sequence[str]) -> Reference:
             raise BenchError(f"`carrl train {' '.join(overrides)}` failed: {run.last_words}")
         if not run.log.exists():
             raise BenchError(
-                f"`carrl train {' '.join(overrides)}` leaves no {run.log.name}; train one agent, with a log"
+                f"`carrl train {' '.join(overrides)}` leaves no {run.log.name}; train one replicate, with a log"
             )
         verify(run.log)
         notes = run.notes

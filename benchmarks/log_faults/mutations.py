@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parse(argv: list[str] | None) -> argparse.Namespace:
     parser = Parser(prog="scripts/faults mutations", description=__doc__)
     parser.add_argument("--mutations", type=positive(int), default=10_000, metavar="N", help="files to damage")
-    parser.add_argument("--experiment", default="fast", metavar="NAME", help="what the logs are of, of one agent")
+    parser.add_argument("--experiment", default="fast", metavar="NAME", help="what the logs are of, of one replicate")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the damages")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the files in which there is a fault")
     parser.add_argument("--markdown", action="store_true", help="print tables for a page")

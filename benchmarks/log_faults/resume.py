@@ -95,7 +95,7 @@ def run_to_the_end(overrides: Sequence[str]) -> Reference:
         try:
             return Reference(overrides, read_run(run.path), seconds, places_in(folder))
         except (CarrlError, OSError) as error:
-            raise BenchError(f"`carrl train {' '.join(overrides)}`: {error}; train one agent, with a log") from error
+            raise BenchError(f"`carrl train {' '.join(overrides)}`: {error}; train one seed, with a log") from error
 
 
 def kill_and_resume(reference: Reference, number: int, draw: random.Random) -> Resume:

@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
 def _parse(argv: list[str] | None) -> argparse.Namespace:
     parser = Parser(prog="scripts/faults resumes", description=__doc__)
     parser.add_argument("--kills", type=positive(int), default=100, metavar="N", help="runs to kill")
-    parser.add_argument("--experiment", default="fast", metavar="NAME", help="what they train, of one agent")
+    parser.add_argument("--experiment", default="fast", metavar="NAME", help="what they train, of one replicate")
     parser.add_argument("--interval", type=positive(float), default=0.3, metavar="S", help="between two checkpoints, s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the moments at which they are killed")
     parser.add_argument("--markdown", action="store_true", help="print tables for a page")

@@ -67,7 +67,7 @@ class ClusterCollector:
         parts: WorkerParts,
     ) -> None:
         if len(seeds) != 1:
-            raise ConfigError("collector=ray trains one agent; leave trainer.seeds out, or set collector=sync")
+            raise ConfigError("collector=ray trains one replicate; leave trainer.seeds out, or set collector=sync")
         check_steps(steps_per_batch)
         cars = int(env.batch_size[0])
         if workers < 1 or cars % workers:

@@ -57,33 +57,33 @@ def check_logs(paths: Sequence[Path], world: World) -> int:
     return total
 
 
-def fill_from_logs(buffer: TensorDictReplayBuffer, paths: Sequence[Path], agents: int, action: ActionMap) -> None:
-    """Puts every transition of the logs into the memories of all agents, a message at a time.
+def fill_from_logs(buffer: TensorDictReplayBuffer, paths: Sequence[Path], replicates: int, action: ActionMap) -> None:
+    """Puts every transition of the logs into the memories of all replicates, a message at a time.
 
     Raises:
         LogError: a log is damaged, or has an action that there is not.
     """
     for path in paths:
-        memories: Any = _Memories(buffer, agents, path, action)
+        memories: Any = _Memories(buffer, replicates, path, action)
         fill(memories, path)
 
 
 class _Memories:
     """The way of a log's transitions into a buffer."""
 
-    def __init__(self, buffer: TensorDictReplayBuffer, agents: int, path: Path, action: ActionMap) -> None:
-        self._buffer, self._agents, self._path = buffer, agents, path
+    def __init__(self, buffer: TensorDictReplayBuffer, replicates: int, path: Path, action: ActionMap) -> None:
+        self._buffer, self._replicates, self._path = buffer, replicates, path
         self._spec, self._names = action.spec, action.names
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Stores transitions [T] once for each agent, [T, A]."""
+        """Stores transitions [T] once for each replicate, [T, A]."""
         action = transitions["action"]
         if not self._spec.expand(action.shape).is_in(action):
             raise LogError(
                 f"log '{self._path}': has actions {action.min()}..{action.max()}; "
                 f"they must lie in 0..{len(self._names) - 1}, {', '.join(self._names)}"
             )
-        self._buffer.extend(transitions.select(*KEYS)[:, None].expand(len(transitions), self._agents))
+        self._buffer.extend(transitions.select(*KEYS)[:, None].expand(len(transitions), self._replicates))
 
 
 def _check_width(log: Log, world: World) -> None:

@@ -68,12 +68,12 @@ class NStepReturns:
             reward += torch.where(going_on, self._gamma**ahead * rewards[ahead : ahead + complete], 0)
             steps += going_on
             going_on &= ~done[ahead : ahead + complete]
-        time, cars, agents = (
+        time, cars, replicates = (
             torch.arange(extent, device=done.device).view(shape)
             for extent, shape in zip(steps.shape, ([-1, 1, 1], [-1, 1], [-1]), strict=False)
         )
         summed = known[:complete].clone()
-        summed["next"] = known["next"][time + steps[..., 0] - 1, cars, agents]
+        summed["next"] = known["next"][time + steps[..., 0] - 1, cars, replicates]
         summed["next", "reward"] = reward
         summed[STEPS] = steps
         return summed
@@ -97,7 +97,7 @@ class NStepReturns:
         extents = pending["action"].shape
         if len(extents) != 3 or extents[0] >= self._steps:
             raise ValueError(
-                f"{list(extents)} time steps, cars and agents are pending in returns of {self._steps} steps"
+                f"{list(extents)} time steps, cars and replicates are pending in returns of {self._steps} steps"
             )
         self._pending = TensorDict(pending, batch_size=extents).unflatten_keys("/")
 
@@ -107,24 +107,24 @@ _LEAST_ERROR = 1e-6
 
 
 class Minibatch(NamedTuple):
-    """Places in the memories: `storage[items, agents]` is the sample.
+    """Places in the memories: `storage[items, replicates]` is the sample.
 
     Attributes:
         items: [batch_size, A], int64.
-        agents: [batch_size, A], int64.
+        replicates: [batch_size, A], int64.
         weights: by which the losses count, [batch_size, A]; None where they count alike.
     """
 
     items: Tensor
-    agents: Tensor
+    replicates: Tensor
     weights: Tensor | None = None
 
 
 class AgentSampler(RandomSampler):
-    """Uniform with replacement, for every agent from its own memory and with its own generator.
+    """Uniform with replacement, for every replicate from its own memory and with its own generator.
 
     Args:
-        generators: one for each agent.
+        generators: one for each replicate.
     """
 
     is_weighted = False
@@ -132,18 +132,18 @@ class AgentSampler(RandomSampler):
 
     def __init__(self, generators: Sequence[torch.Generator]) -> None:
         self._generators = list(generators)
-        self._agents = torch.arange(len(self._generators))
+        self._replicates = torch.arange(len(self._generators))
 
     @property
-    def agents(self) -> int:
-        """How many agents' memories there are."""
+    def replicates(self) -> int:
+        """How many replicates' memories there are."""
         return len(self._generators)
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
-        """Indices of items and of agents, [batch_size, A] each, such that storage[items, agents] is the sample."""
+        """Indices of items and replicates, [batch_size, A] each, such that storage[items, replicates] is the sample."""
         drawn = [torch.randint(len(storage), (batch_size,), generator=each) for each in self._generators]
         items = torch.stack(drawn, dim=1).to(storage.device)
-        return (items, self._agents.to(storage.device).expand_as(items)), {}
+        return (items, self._replicates.to(storage.device).expand_as(items)), {}
 
     def minibatches(self, storage: Storage, count: int, batch_size: int) -> Iterator[Minibatch]:
         """Those of the next `count` updates."""
@@ -160,7 +160,7 @@ class AgentSampler(RandomSampler):
 
 
 class PrioritizedAgentSampler(AgentSampler):
-    """For every agent in proportion to |TD error|^alpha, with replacement.
+    """For every replicate in proportion to |TD error|^alpha, with replacement.
 
     A transition that was never learnt from has the greatest priority so far. Weights make up for the sampling, by the
     exponent beta, with 1 in full; only their ratios count.
@@ -171,8 +171,8 @@ class PrioritizedAgentSampler(AgentSampler):
     Source: Schaul et al. 2016, "Prioritized Experience Replay", sections 3.3 and 3.4.
 
     Args:
-        generators: one for each agent.
-        capacity: of each agent's memory, transitions.
+        generators: one for each replicate.
+        capacity: of each replicate's memory, transitions.
         alpha: exponent of the priorities; with 0 all transitions are alike.
         beta: exponent of the weights.
     """
@@ -182,8 +182,8 @@ class PrioritizedAgentSampler(AgentSampler):
     def __init__(self, generators: Sequence[torch.Generator], capacity: int, alpha: float, beta: float) -> None:
         super().__init__(generators)
         self._alpha, self._beta = alpha, beta
-        self._priorities = torch.zeros(self.agents, capacity, dtype=torch.float64)
-        self._greatest = torch.ones(self.agents, dtype=torch.float64)
+        self._priorities = torch.zeros(self.replicates, capacity, dtype=torch.float64)
+        self._greatest = torch.ones(self.replicates, dtype=torch.float64)
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
         """As `AgentSampler` does, and the weights under `priority_weight`, [batch_size, A]."""
@@ -193,15 +193,15 @@ class PrioritizedAgentSampler(AgentSampler):
         chosen = self._priorities.gather(-1, items)
         weights = (chosen / chosen.amin(-1, keepdim=True)) ** -self._beta
         items = items.T.contiguous().to(storage.device)
-        return (items, self._agents.to(storage.device).expand_as(items)), {
+        return (items, self._replicates.to(storage.device).expand_as(items)), {
             "priority_weight": weights.T.contiguous().float().to(storage.device)
         }
 
     def minibatches(self, storage: Storage, count: int, batch_size: int) -> Iterator[Minibatch]:
         """Those of the next updates, each drawn when the one before has set its priorities."""
         for _ in range(count):
-            (items, agents), info = self.sample(storage, batch_size)
-            yield Minibatch(items, agents, info["priority_weight"])
+            (items, replicates), info = self.sample(storage, batch_size)
+            yield Minibatch(items, replicates, info["priority_weight"])
 
     def extend(self, index: Tensor) -> None:
         """Gives new transitions the greatest priority so far; called by the buffer."""
@@ -243,9 +243,9 @@ MOST_TRANSITIONS = 2**27
 def make_replay_buffer(
     capacity: int, batch_size: int, *, device: torch.device | str, generators: Sequence[torch.Generator]
 ) -> TensorDictReplayBuffer:
-    """A ring of the latest `capacity` transitions of every agent, of which `batch_size` are sampled at a time.
+    """A ring of the latest `capacity` transitions of every replicate, of which `batch_size` are sampled at a time.
 
-    An item is one transition of each agent, a TensorDict of batch size [A]; a sample is [batch_size, A].
+    An item is one transition of each replicate, a TensorDict of batch size [A]; a sample is [batch_size, A].
 
     Args:
         capacity: transitions kept of each replicate.
@@ -337,7 +337,7 @@ def restore_contents(buffer: TensorDictReplayBuffer, contents: dict[str, Any], a
     if items > capacity or cursor not in (range(capacity) if items == capacity else [items]):
         raise ValueError(f"{items} transitions with the cursor at {cursor} do not fit a ring of {capacity}")
     if items:
-        transitions = TensorDict(fields, batch_size=[items, buffer.sampler.agents]).unflatten_keys("/")
+        transitions = TensorDict(fields, batch_size=[items, buffer.sampler.replicates]).unflatten_keys("/")
         action = transitions["action"]
         if not action_spec.expand(action.shape).is_in(action):
             raise ValueError("there are actions that no car has")

@@ -24,17 +24,17 @@ _KEYS = ("reward", "done", "terminated", "gates_passed", "step", "track")
 
 
 class EpisodeTracker:
-    """Numbers the episodes of every agent's cars, driven side by side, and sums up each one as it ends.
+    """Numbers the episodes of every replicate's cars, driven side by side, and sums up each one as it ends.
 
     Attributes:
-        frames: env steps of each agent.
+        frames: env steps of each replicate.
     """
 
-    def __init__(self, agents: int, num_envs: int, gates_per_lap: int | Sequence[int], time_step: float) -> None:
+    def __init__(self, replicates: int, num_envs: int, gates_per_lap: int | Sequence[int], time_step: float) -> None:
         """Begins with the first episode of every car.
 
         Args:
-            agents: how many.
+            replicates: how many.
             num_envs: cars of each.
             gates_per_lap: of every track; or one number for each track.
             time_step: of the simulation, s.
@@ -42,11 +42,11 @@ class EpisodeTracker:
         self._gates_per_lap = np.atleast_1d(gates_per_lap)
         self._time_step = time_step
         self._cars = num_envs
-        self._env = np.tile(np.arange(num_envs), agents)
+        self._env = np.tile(np.arange(num_envs), replicates)
         self._episode = self._env.copy()
-        self._return = np.zeros(agents * num_envs)
-        self._begin_ns = np.zeros(agents * num_envs, dtype=np.int64)
-        self._begun = [num_envs] * agents
+        self._return = np.zeros(replicates * num_envs)
+        self._begin_ns = np.zeros(replicates * num_envs, dtype=np.int64)
+        self._begun = [num_envs] * replicates
         self.frames = 0
 
     def state_dict(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class EpisodeTracker:
         return round(self.frames // self._cars * self._time_step * 1e9)
 
     def follow(self, batch: TensorDictBase) -> list[list[Episode]]:
-        """Adds `episode`, `car` and `time_ns` to a batch [B, T] and returns each agent's episodes that ended in it.
+        """Adds `episode`, `car` and `time_ns` to a batch [B, T] and returns each replicate's episodes that ended in it.
 
         A car whose first transition is a first step, although its episode had others, has begun a new one.
         """
@@ -128,11 +128,11 @@ class EpisodeTracker:
         return episode
 
     def _begin(self, car: int) -> None:
-        agent = car // self._cars
+        replicate = car // self._cars
         self._return[car] = 0
         self._begin_ns[car] = self.time_ns
-        self._episode[car] = self._begun[agent]
-        self._begun[agent] += 1
+        self._episode[car] = self._begun[replicate]
+        self._begun[replicate] += 1
 
 
 UPDATES_PER_ROUND = 250
@@ -215,7 +215,7 @@ class Simulated(Source):
         self.env: TrackEnv = env
         self.collector, self.returns = collector, returns
         self._buffer = buffer
-        self._replicates = buffer.sampler.agents
+        self._replicates = buffer.sampler.replicates
         self.cars = int(env.batch_size[0]) // self._replicates
         gates = [track.gate_count for track in env.tracks]
         self._tracker = EpisodeTracker(self._replicates, self.cars, gates, env.simulator.vehicle.time_step)
@@ -279,7 +279,7 @@ class Logged(Source):
 
     def __init__(self, buffer: TensorDictReplayBuffer, updates: int) -> None:
         self.transitions = len(buffer)
-        self._updates, self._replicates = updates, buffer.sampler.agents
+        self._updates, self._replicates = updates, buffer.sampler.replicates
         items = torch.linspace(0, self.transitions - 1, min(SAMPLE_SIZE, self.transitions)).long()
         self.sample = buffer.storage.get(items)[:, 0].clone()
 

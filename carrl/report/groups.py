@@ -161,7 +161,7 @@ def _planned_seeds(runs: Sequence[RunResult]) -> set[int]:
     for config in configs:
         with suppress(CarrlError, TypeError, AttributeError):  # written by hand; the run itself would have been refused
             named = (config.get("trainer") or {}).get("seeds")
-            seeds.update(TrainingPlan(1, 1, seeds=named).agent_seeds(config["seed"]))
+            seeds.update(TrainingPlan(1, 1, seeds=named).replicate_seeds(config["seed"]))
     return seeds
 
 

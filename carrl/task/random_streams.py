@@ -50,11 +50,11 @@ def restore(generators: Sequence[torch.Generator], states: Sequence[Tensor]) -> 
 
 
 class RandomStreams:
-    """One generator for each agent.
+    """One generator for each replicate.
 
     Args:
-        seeds: of each agent's generator; None for a fresh one.
-        share: cars of each agent.
+        seeds: of each replicate's generator; None for a fresh one.
+        share: cars of each replicate.
     """
 
     def __init__(self, seeds: Sequence[int | None], share: int) -> None:
@@ -68,7 +68,7 @@ class RandomStreams:
                 generator.manual_seed(seed)
 
     def seed(self, seed: int) -> None:
-        """Begins anew with this seed for the first agent, the next one for the second, and so on."""
+        """Begins anew with this seed for the first replicate, the next one for the second, and so on."""
         for offset, generator in enumerate(self._generators):
             generator.manual_seed(seed + offset)
 
@@ -101,7 +101,7 @@ class RandomStreams:
         return torch.cat([torch.randint(high, (self._share,), generator=each) for each in self._generators])
 
     def uniform(self, *columns: int, wanted: Tensor | None = None) -> Tensor:
-        """Numbers from 0 to 1, [N, *columns], float64; zero for agents none of whose cars is `wanted`, [N]."""
+        """Numbers from 0 to 1, [N, *columns], float64; zero for replicates none of whose cars is `wanted`, [N]."""
         return self._draw(torch.rand, columns, wanted)
 
     def normal(self, *columns: int, wanted: Tensor | None = None) -> Tensor:

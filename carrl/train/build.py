@@ -74,7 +74,7 @@ def build_pipeline(config: Config) -> Pipeline:
             "returns are over several steps, which a log may not have in full, and data is log; set returns.steps=1"
         )
     plan: TrainingPlan = build_node("trainer", config["trainer"])
-    seeds = plan.agent_seeds(config["seed"])
+    seeds = plan.replicate_seeds(config["seed"])
     world = build_world(config)
     buffer_node = config["replay_buffer"]
     if offline:

@@ -35,7 +35,7 @@ _UNITS = "m, m, rad counter-clockwise from +x first"
 
 
 def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
-    """The entries of a log's metadata for the agent with this seed, who drives so many cars."""
+    """The entries of a log's metadata for the replicate with this seed, who drives so many cars."""
     entries = {
         "seed": str(seed),
         "track": env.track.name if len(env.tracks) == 1 else f"{len(env.tracks)} tracks",

@@ -103,7 +103,7 @@ class StateFile:
     """A run's state on the disk.
 
     Args:
-        run: the run's folder; that of all agents together, where several train side by side.
+        run: the run's folder; that of all replicates together, where several train side by side.
         config: resolved, kept with every state, so that one is never taken for another run's.
         interval: between two states, s of wall time.
         inputs: checksums of what the run learns from, kept with every state, too.

@@ -141,7 +141,7 @@ class Learner:
         self.updates += count
 
     def _update_eagerly(self, minibatch: Minibatch) -> UpdateResult:
-        batch = self._buffer.storage.get((minibatch.items, minibatch.agents))
+        batch = self._buffer.storage.get((minibatch.items, minibatch.replicates))
         if minibatch.weights is not None:
             batch["priority_weight"] = minibatch.weights
         return self._algorithm.update(batch)

@@ -189,7 +189,7 @@ def check_is_read(overrides: Sequence[str], config: Mapping[str, Any]) -> None:
         if has_seeds and each.key_or_group == "seed":
             raise ConfigError(
                 f"{each.input_line} has no effect beside trainer.seeds={shown(config['trainer']['seeds'])}, "
-                "which names the seed of every agent; leave one of them out"
+                "which names the seed of every replicate; leave one of them out"
             )
 
 

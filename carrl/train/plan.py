@@ -1,4 +1,4 @@
-"""What a run is to do: how long, by which agents, on what, and how often it is evaluated."""
+"""What a run is to do: how long, by which replicates, on what, and how often it is evaluated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,20 +8,20 @@ from typing import Any
 from carrl.config import is_whole_number, whole
 from carrl.errors import ConfigError, shown
 
-MOST_AGENTS = 4096
+MOST_REPLICATES = 4096
 """That train side by side."""
 LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """When a run ends, and which agents train side by side.
+    """When a run ends, and which replicates train side by side.
 
     Attributes:
         episodes: a run ends once this many have ended.
         frames: or once this many env steps are done.
-        frames_per_update: env steps of each agent for one update of its network, 1 in the paper.
-        seeds: of the agents, each a whole number or a range such as "0..9", both ends included; None for one agent.
+        frames_per_update: env steps of each replicate for one update of its network, 1 in the paper.
+        seeds: of the replicates, each a whole number or a range such as "0..9", both ends included; None for one.
         checkpoint_interval: wall time between two checkpoints to resume from, s.
     """
 
@@ -39,17 +39,17 @@ class TrainingPlan:
         if not self.checkpoint_interval >= 0:
             raise ConfigError(f"trainer.checkpoint_interval is {self.checkpoint_interval}; it must be at least 0 s")
 
-    def agent_seeds(self, seed: int) -> list[int]:
-        """The seeds of all agents; `seed` is that of the one agent where no others are named.
+    def replicate_seeds(self, seed: int) -> list[int]:
+        """The seeds of all replicates; `seed` is that of the one replicate where no others are named.
 
         Raises:
             ConfigError: a seed is no whole number of at least 0, or there twice.
         """
         named = [seed] if self.seeds is None else [each for entry in self.seeds for each in _expand(entry)]
-        if not named or len(named) > MOST_AGENTS or len(set(named)) < len(named):
+        if not named or len(named) > MOST_REPLICATES or len(set(named)) < len(named):
             raise ConfigError(
                 f"trainer.seeds is {shown(list(self.seeds or []))}; "
-                f"it must name at least one, none twice, and at most {MOST_AGENTS}"
+                f"it must name at least one, none twice, and at most {MOST_REPLICATES}"
             )
         return [checked_seed(each) for each in named]
 
@@ -71,7 +71,7 @@ def _expand(entry: int | str) -> list[int]:
         return [checked_seed(entry)]
     first, dots, last = entry.partition("..")
     numbers = all(end.isdecimal() and len(end) < 20 for end in (first, last))
-    if not (dots and numbers and int(first) <= int(last) < int(first) + MOST_AGENTS):
+    if not (dots and numbers and int(first) <= int(last) < int(first) + MOST_REPLICATES):
         raise ConfigError(
             f"trainer.seeds has {shown(entry)}; write seeds as whole numbers or as first..last, as in [0..9]"
         )
@@ -120,7 +120,7 @@ class OfflinePlan:
 
     Attributes:
         path: a log, or several.
-        updates: of each agent's network.
+        updates: of each replicate's network.
     """
 
     path: str | Sequence[str]

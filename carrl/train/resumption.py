@@ -81,12 +81,12 @@ class Resumption:
 
 @dataclass(frozen=True)
 class Progress:
-    """What every agent of a run has done, and its limits, each of which ends it.
+    """What every replicate of a run has done, and its limits, each of which ends it.
 
     Attributes:
-        done: by the key of each limit, for one agent after the other.
+        done: by the key of each limit, for one replicate after the other.
         limits: by key, such as `trainer.frames`.
-        active: indices of the agents that had not ended.
+        active: indices of the replicates that had not ended.
         learning_rate_is_zero: whether it has fallen to 0 for good.
     """
 
@@ -102,17 +102,17 @@ class Progress:
 
     @property
     def is_over(self) -> bool:
-        """Whether every agent has reached one of the limits."""
+        """Whether every replicate has reached one of the limits."""
         return all(map(self._has_reached_a_limit, range(len(self.done))))
 
     @property
     def goes_on(self) -> bool:
-        """Whether the agents that had ended are still at their end."""
+        """Whether the replicates that had ended are still at their end."""
         return all(self._has_reached_a_limit(index) for index in range(len(self.done)) if index not in self.active)
 
     def describe(self) -> str:
-        """How far it is, or the first of several agents."""
-        others = f" (the first of {len(self.done)} agents)" if len(self.done) > 1 else ""
+        """How far it is, or the first of several replicates."""
+        others = f" (the first of {len(self.done)} replicates)" if len(self.done) > 1 else ""
         words = (f"{self.done[0][key]} {key.split('.')[1]} (limit {limit})" for key, limit in self.limits.items())
         return f"it has {' and '.join(words)}{others}"
 
@@ -146,7 +146,7 @@ def resume(run: Path, overrides: Sequence[str], trust: Sequence[str] = ()) -> Re
         remarks = [_nothing_left(run, progress, changes)]
     elif not progress.goes_on:
         raise ConfigError(
-            f"run '{run}' has agents that ended before the others, and what they did since is not recorded, so they "
+            f"run '{run}' has replicates that ended before the others; what they did since is not recorded, so they "
             f"cannot go on; leave {progress.keys} as they were"
         )
     return Resumption(config, state, tuple(remarks))
@@ -259,7 +259,7 @@ def _check_is_whole_run(run: Path, config: Mapping[str, Any]) -> None:
     """Refuses a folder whose training is kept elsewhere, or nowhere."""
     if (run.parent / STATE).exists():
         raise CheckpointError(
-            f"run '{run}' is one of several agents that train side by side; resume them together: resume={run.parent}"
+            f"run '{run}' is one of several seeds that train side by side; resume them together: resume={run.parent}"
         )
     left = [_first_result(folder) for folder in (run, *seed_folders(run))]
     if not any(left):  # killed in its first state, before which it learns nothing

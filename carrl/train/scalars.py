@@ -24,7 +24,7 @@ class Row(NamedTuple):
     """Figures that belong together.
 
     Attributes:
-        step: env steps of the agent when they came up; updates, where it learns from logs.
+        step: env steps of the replicate when they came up; updates, where it learns from logs.
         values: finite numbers by name.
         time_ms: when that was, ms since 1970.
     """
@@ -35,7 +35,7 @@ class Row(NamedTuple):
 
 
 class Scalars:
-    """One agent's figures on their way to a logger.
+    """One replicate's figures on their way to a logger.
 
     Args:
         logger: of TorchRL.
@@ -126,7 +126,7 @@ def make_wandb(project: str, offline: bool, *, folder: Path, config: Mapping[str
             save_dir=folder,
             project=project,
             log_env_packages=False,
-            reinit="create_new",  # side by side with the runs of other agents
+            reinit="create_new",  # side by side with the runs of other replicates
             settings=wandb.Settings(console="off", silent=True),
         )
     except wandb.Error as error:
@@ -161,7 +161,7 @@ def make_mlflow(experiment: str, tracking_uri: str | None, *, folder: Path, conf
         logger = MLFlowLogger(experiment, uri, artifact_location=artifacts)
         client, run = mlflow.MlflowClient(uri), logger.experiment.info.run_id
         logger.log_hparams(_flat(config))
-        mlflow.end_run()  # of the process, which has one at a time; other agents have runs of their own
+        mlflow.end_run()  # of the process, which has one at a time; other replicates have runs of their own
         client.update_run(run, status="RUNNING", name=_name_of(folder))
     except Exception as error:  # of MLflow, of SQLAlchemy, of the network
         raise ConfigError(f"logger=mlflow: '{uri}' cannot be used: {' '.join(str(error).split())}") from error

@@ -115,7 +115,7 @@ def _is_wish(file: Path) -> bool:
 
 
 def read_summaries(job: Path) -> list[dict[str, Any]]:
-    """The summaries of a job's agents, by seed; none of those that have not come so far."""
+    """The summaries of a job's replicates, by seed; none of those that have not come so far."""
     summaries = {}
     for file in (*job.glob(SUMMARY), *job.glob(f"seed=*/{SUMMARY}")):
         try:

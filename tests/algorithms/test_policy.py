@@ -1,4 +1,4 @@
-"""Acting for many agents at once."""
+"""Acting for many replicates at once."""
 
 import pytest
 import torch

@@ -17,9 +17,9 @@ def test_of_many_circuits_it_says_how_many_are_lapped(seeds, tmp_path, capsys):
     assert "lapped 0 of 3" in output.err
 
 
-@pytest.mark.parametrize(("seeds", "agents"), [("null", 1), ("[0,1]", 2)])
-def test_of_one_track_it_says_how_far_the_best_drive_came(seeds, agents, tmp_path, capsys):
+@pytest.mark.parametrize(("seeds", "replicates"), [("null", 1), ("[0,1]", 2)])
+def test_of_one_track_it_says_how_far_the_best_drive_came(seeds, replicates, tmp_path, capsys):
     assert main(["train", *SHORT, "track=oval", f"trainer.seeds={seeds}", f"hydra.run.dir={tmp_path}"]) == 0
     output = capsys.readouterr()
     assert "% of a lap" in output.out
-    assert f"first lap by 0 of {agents}" in output.err
+    assert f"first lap by 0 of {replicates}" in output.err

@@ -10,17 +10,17 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
 
 
-def numbered_transitions(first, count, agents=1):
-    """Transitions [count, agents]; those of agent a have numbers above 1000 a."""
-    numbers = torch.arange(first, first + count)[:, None] + 1000 * torch.arange(agents)
-    flag = torch.zeros(count, agents, 1, dtype=torch.bool)
+def numbered_transitions(first, count, replicates=1):
+    """Transitions [count, replicates]; those of replicate a have numbers above 1000 a."""
+    numbers = torch.arange(first, first + count)[:, None] + 1000 * torch.arange(replicates)
+    flag = torch.zeros(count, replicates, 1, dtype=torch.bool)
     values = {
         "observation": numbers[..., None].float(),
         "action": numbers,
         "next": {"observation": numbers[..., None].float() + 1, "reward": numbers[..., None] * 10.0},
     }
     values["next"] |= {"done": flag, "terminated": flag.clone()}
-    return TensorDict(values, batch_size=[count, agents])
+    return TensorDict(values, batch_size=[count, replicates])
 
 
 def make_buffer(capacity=8, batch_size=4, seeds=(0,)):
@@ -37,7 +37,7 @@ def test_the_buffer_keeps_the_latest_transitions_and_drops_the_oldest():
 
 def test_sampled_transitions_stay_whole():
     buffer = make_buffer(capacity=100, batch_size=64, seeds=(0, 1))
-    buffer.extend(numbered_transitions(0, 100, agents=2))
+    buffer.extend(numbered_transitions(0, 100, replicates=2))
     sample = buffer.sample()
     assert sample.batch_size == (64, 2)
     assert torch.equal(sample["next", "reward"][..., 0], sample["action"] * 10.0)
@@ -47,7 +47,7 @@ def test_sampled_transitions_stay_whole():
 def test_sampling_follows_the_buffers_own_generator():
     def draw(*seeds):
         buffer = make_buffer(capacity=1000, batch_size=32, seeds=seeds)
-        buffer.extend(numbered_transitions(0, 1000, agents=len(seeds)))
+        buffer.extend(numbered_transitions(0, 1000, replicates=len(seeds)))
         return buffer.sample()["action"]
 
     first = draw(1)
@@ -59,7 +59,7 @@ def test_sampling_follows_the_buffers_own_generator():
 def test_every_agent_samples_its_own_transitions_as_it_would_alone():
     def draw(*seeds):
         buffer = make_buffer(capacity=1000, batch_size=32, seeds=seeds)
-        buffer.extend(numbered_transitions(0, 1000, agents=len(seeds)))
+        buffer.extend(numbered_transitions(0, 1000, replicates=len(seeds)))
         return buffer.sample()["action"]
 
     together = draw(1, 2)

@@ -18,29 +18,29 @@ from tests.worlds import make_world
 WORLD = make_world("oval")
 
 
-def make_buffer(agents):
-    generators = [torch.Generator().manual_seed(seed) for seed in range(agents)]
+def make_buffer(replicates):
+    generators = [torch.Generator().manual_seed(seed) for seed in range(replicates)]
     return make_replay_buffer(64, 4, device="cpu", generators=generators)
 
 
-@pytest.mark.parametrize("agents", [1, 3])
-def test_every_agent_gets_every_transition_of_every_log_in_order(agents, tmp_path):
+@pytest.mark.parametrize("replicates", [1, 3])
+def test_every_replicate_gets_every_transition_of_every_log_in_order(replicates, tmp_path):
     paths = [write_log(tmp_path / "a.mcap"), write_log(tmp_path / "b.mcap")]
-    buffer = make_buffer(agents)
-    fill_from_logs(buffer, paths, agents, WORLD.action)
+    buffer = make_buffer(replicates)
+    fill_from_logs(buffer, paths, replicates, WORLD.action)
     expected = torch.cat([load(path) for path in paths])
     assert len(buffer) == len(expected) == 2 * len(STEPS)
-    for agent in range(agents):
+    for replicate in range(replicates):
         for key in KEYS:
-            assert torch.equal(buffer[:][:, agent].get(key), expected.get(key))
+            assert torch.equal(buffer[:][:, replicate].get(key), expected.get(key))
 
 
 def test_agents_sample_different_minibatches_of_the_same_transitions(tmp_path):
     buffer = make_buffer(2)
     fill_from_logs(buffer, [write_log(tmp_path / "a.mcap")], 2, WORLD.action)
-    items, agents = buffer.sampler.sample(buffer.storage, 64)[0]
+    items, replicates = buffer.sampler.sample(buffer.storage, 64)[0]
     assert not torch.equal(items[:, 0], items[:, 1])
-    assert torch.equal(agents, torch.arange(2).expand(64, 2))
+    assert torch.equal(replicates, torch.arange(2).expand(64, 2))
 
 
 def test_logs_that_fit_are_counted(tmp_path):

@@ -13,7 +13,7 @@ from tests.data.test_collection import numbered_transitions
 def make_buffer(items=4, seeds=(0,), alpha=1.0, beta=1.0, batch_size=4000):
     generators = [torch.Generator().manual_seed(seed) for seed in seeds]
     buffer = make_prioritized_replay_buffer(8000, batch_size, alpha, beta, device="cpu", generators=generators)
-    buffer.extend(numbered_transitions(0, items, agents=len(seeds)))
+    buffer.extend(numbered_transitions(0, items, replicates=len(seeds)))
     return buffer
 
 
@@ -22,10 +22,10 @@ def minibatch(buffer):
 
 
 def note(buffer, errors):
-    """Notes the TD errors of the first transitions, alike for all agents."""
-    agents = buffer.sampler.agents
-    items = torch.arange(len(errors))[:, None].expand(-1, agents)
-    buffer.sampler.set_priorities(items, torch.tensor(errors)[:, None].expand(-1, agents))
+    """Notes the TD errors of the first transitions, alike for all replicates."""
+    replicates = buffer.sampler.replicates
+    items = torch.arange(len(errors))[:, None].expand(-1, replicates)
+    buffer.sampler.set_priorities(items, torch.tensor(errors)[:, None].expand(-1, replicates))
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
@@ -66,12 +66,12 @@ def test_every_agent_samples_by_its_own_priorities_as_it_would_alone():
     items = torch.arange(4)[:, None].expand(-1, 2)
     together.sampler.set_priorities(items, torch.tensor([[1.0, 5.0], [2.0, 0.0], [3.0, 1.0], [4.0, 1.0]]))
     drawn = minibatch(together)
-    for agent, (seed, errors) in enumerate([(3, [1.0, 2.0, 3.0, 4.0]), (7, [5.0, 0.0, 1.0, 1.0])]):
+    for replicate, (seed, errors) in enumerate([(3, [1.0, 2.0, 3.0, 4.0]), (7, [5.0, 0.0, 1.0, 1.0])]):
         alone = make_buffer(seeds=(seed,))
         note(alone, errors)
         own = minibatch(alone)
-        assert torch.equal(own.items[:, 0], drawn.items[:, agent])
-        assert torch.equal(own.weights[:, 0], drawn.weights[:, agent])
+        assert torch.equal(own.items[:, 0], drawn.items[:, replicate])
+        assert torch.equal(own.weights[:, 0], drawn.weights[:, replicate])
 
 
 def test_priorities_and_generators_are_kept_in_the_state():

@@ -205,7 +205,7 @@ def test_where_ray_is_absent_the_remedy_is_named(monkeypatch):
 
 
 def test_several_agents_are_refused():
-    with pytest.raises(ConfigError, match="collector=ray trains one agent"):
+    with pytest.raises(ConfigError, match="collector=ray trains one replicate"):
         build_pipeline(compose("collector=ray", "trainer.seeds=[0,1]"))
 
 

@@ -15,7 +15,7 @@ GAMMA = 0.5
 
 
 def steps(rewards, terminated=(), truncated=()):
-    """Transitions [T, N, A] from rewards [T][N], of one agent; observations tell time and car: 10 t + n."""
+    """Transitions [T, N, A] from rewards [T][N], of one replicate; observations tell time and car: 10 t + n."""
     reward = torch.tensor(rewards, dtype=torch.float32)[..., None, None]
     number = 10.0 * torch.arange(len(reward))[:, None] + torch.arange(reward.shape[1])
     ends = [torch.zeros_like(reward, dtype=torch.bool) for _ in range(2)]

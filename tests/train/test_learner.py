@@ -23,9 +23,9 @@ def make_pipeline(*overrides):
     soft = any(override.startswith("target_updater=") for override in overrides)
     period = [] if soft else ["target_updater.period=50"]
     pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", *period, *overrides))
-    agents = len(pipeline.algorithm.replicates)
+    replicates = len(pipeline.algorithm.replicates)
     for _, batch in zip(range(25), pipeline.source.collector, strict=False):
-        transitions = batch.view(agents, -1, 1).permute(2, 1, 0).select(*KEYS)
+        transitions = batch.view(replicates, -1, 1).permute(2, 1, 0).select(*KEYS)
         kept = transitions if pipeline.source.returns is None else pipeline.source.returns(transitions)
         if len(kept):
             pipeline.replay_buffer.extend(kept.flatten(0, 1))
@@ -56,7 +56,7 @@ def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
     assert not any("eagerly" in message for message in messages(caplog))
     for ours, theirs in zip(compiled.algorithm.replicates, eager.algorithm.replicates, strict=True):
         for name in ("value_network_params", "target_value_network_params"):
-            tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
+            tensors = (getattr(replicate.loss, name).values(True, True) for replicate in (ours, theirs))
             for fused, plain in zip(*tensors, strict=True):
                 assert ((fused - plain).norm() / plain.norm()).item() < 1e-5
 

@@ -35,17 +35,18 @@ def build(log_path, *overrides):
 
 
 def train(pipeline, folder, on_round=lambda _: None):
-    """A finished trainer; with several agents their folders are named after their seeds."""
+    """A finished trainer; with several replicates their folders are named after their seeds."""
     with ExitStack() as stack:
-        seeds = [agent.seed for agent in pipeline.algorithm.replicates]
+        seeds = [replicate.seed for replicate in pipeline.algorithm.replicates]
         paths = [folder / str(seed) if len(seeds) > 1 else folder for seed in seeds]
         trainer = Trainer(pipeline, [stack.enter_context(RunFolder(path)) for path in paths])
         trainer.run([AfterRounds(on_round)])
     return trainer
 
 
-def parameters(pipeline, agent=0):
-    return torch.cat([parameter.detach().flatten() for parameter in pipeline.algorithm.networks[agent].parameters()])
+def parameters(pipeline, replicate=0):
+    network = pipeline.algorithm.networks[replicate]
+    return torch.cat([parameter.detach().flatten() for parameter in network.parameters()])
 
 
 def read_rows(path):
@@ -80,16 +81,16 @@ def test_no_simulator_is_touched_before_everything_is_learnt(log_path, tmp_path,
 
 def test_there_are_as_many_updates_as_asked_for_and_the_target_follows_each_period(log_path, tmp_path):
     pipeline = build(log_path, "data.updates=20", "target_updater.period=8")
-    (agent,) = pipeline.algorithm.replicates
-    copies, original = [], agent.target_updater.step
+    (replicate,) = pipeline.algorithm.replicates
+    copies, original = [], replicate.target_updater.step
 
     def watched_step(count):
-        before = agent.loss.target_value_network_params.clone()
+        before = replicate.loss.target_value_network_params.clone()
         original(count)
-        if (agent.loss.target_value_network_params != before).any():
+        if (replicate.loss.target_value_network_params != before).any():
             copies.append(pipeline.learner.updates)
 
-    agent.target_updater.step = watched_step
+    replicate.target_updater.step = watched_step
     trainer = train(pipeline, tmp_path)
     assert trainer.updates == 20
     assert copies == [8, 16]
@@ -127,11 +128,11 @@ def test_metrics_tell_how_learning_goes_and_the_last_network_is_the_result(log_p
 def test_the_measures_are_means_over_the_logged_transitions(log_path, tmp_path):
     pipeline = build(log_path, "data.updates=1", "trainer.seeds=[0,1]")
     train(pipeline, tmp_path)
-    for index, agent in enumerate(pipeline.algorithm.replicates):
-        (row,) = read_rows(tmp_path / str(agent.seed) / "metrics.csv")
+    for index, replicate in enumerate(pipeline.algorithm.replicates):
+        (row,) = read_rows(tmp_path / str(replicate.seed) / "metrics.csv")
         stored = pipeline.replay_buffer[:][:, index]
         with torch.no_grad():
-            values = agent.network(stored.select("observation"))["action_value"]
+            values = replicate.network(stored.select("observation"))["action_value"]
         taken = values.gather(-1, stored["action"][:, None])
         assert float(row["logged_value"]) == pytest.approx(taken.mean().item(), abs=1e-5)
         assert float(row["greedy_value"]) == pytest.approx(values.max(-1).values.mean().item(), abs=1e-5)
@@ -217,6 +218,6 @@ def test_200_compiled_updates_with_cql_equal_200_eager_ones(log_path, caplog):
     assert not any("eagerly" in record.message for record in caplog.records)
     for ours, theirs in zip(compiled.algorithm.replicates, eager.algorithm.replicates, strict=True):
         for name in ("value_network_params", "target_value_network_params"):
-            tensors = (getattr(agent.loss, name).values(True, True) for agent in (ours, theirs))
+            tensors = (getattr(replicate.loss, name).values(True, True) for replicate in (ours, theirs))
             for fused, plain in zip(*tensors, strict=True):
                 assert ((fused - plain).norm() / plain.norm()).item() < 1e-5

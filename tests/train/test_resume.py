@@ -163,7 +163,7 @@ def test_a_killed_writers_left_overs_are_removed(tmp_path, monkeypatch):
 
 @pytest.fixture
 def stopped(tmp_path, monkeypatch):
-    """An interrupted run of two agents."""
+    """An interrupted run of two replicates."""
     return interrupted(monkeypatch, tmp_path / "run", 100, *EAGER, "trainer.seeds=[3,7]")
 
 
@@ -257,7 +257,7 @@ def test_agents_that_ended_at_different_times_cannot_get_more_episodes(tmp_path,
     run = train(tmp_path / "run", *overrides)
     before = (run / ".hydra" / "config.yaml").read_text()
     assert main(["train", f"resume={run}", "trainer.episodes=9"]) == 2
-    assert "agents that ended before the others" in capsys.readouterr().err
+    assert "replicates that ended before the others" in capsys.readouterr().err
     assert (run / ".hydra" / "config.yaml").read_text() == before
 
 

@@ -22,7 +22,7 @@ SHORT = [*EAGER, "trainer.frames=160"]
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Runs that tests copy: a finished one, one of two agents that was stopped, and one that learnt from a log."""
+    """Runs that tests copy: a finished one, one of two replicates that was stopped, and one that learnt from a log."""
     place = tmp_path_factory.mktemp("made")
     finished = train(place / "finished", *SHORT)
     with pytest.MonkeyPatch.context() as patches:

@@ -27,8 +27,8 @@ def train(folder, *overrides):
     with ExitStack() as stack:
         folders = []
         schema = log_schema(pipeline.source.env, pipeline.algorithm.log_columns)
-        for agent in pipeline.algorithm.replicates:
-            path = folder / str(agent.seed) if len(pipeline.algorithm.replicates) > 1 else folder
+        for replicate in pipeline.algorithm.replicates:
+            path = folder / str(replicate.seed) if len(pipeline.algorithm.replicates) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)
             recorder = LogWriter(path / "train.mcap", schema=schema, attachments={}, metadata={})
             folders.append(stack.enter_context(RunFolder(path, recorder)))
@@ -43,8 +43,8 @@ def read_rows(path):
         return [{key: value for key, value in row.items() if key != "wall_time_s"} for row in csv.DictReader(file)]
 
 
-def parameters(pipeline, agent=0):
-    network = pipeline.algorithm.networks[agent]
+def parameters(pipeline, replicate=0):
+    network = pipeline.algorithm.networks[replicate]
     return torch.cat([parameter.detach().flatten() for parameter in network.parameters()])
 
 
@@ -60,18 +60,18 @@ def test_there_is_one_update_per_env_step_once_the_buffer_holds_a_batch(tmp_path
 def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs):
     limits = ("trainer.frames=350", "evaluation.interval=1000")
     pipeline = build_pipeline(compose(f"env.num_envs={num_envs}", "target_updater.period=100", *limits))
-    agent = pipeline.algorithm.replicates[0]
+    replicate = pipeline.algorithm.replicates[0]
     steps, copies = [], []
-    original = agent.target_updater.step
+    original = replicate.target_updater.step
 
     def watched_step(count):
-        before = agent.loss.target_value_network_params.clone()
+        before = replicate.loss.target_value_network_params.clone()
         original(count)
         steps.append(count)
-        if (agent.loss.target_value_network_params != before).any():
+        if (replicate.loss.target_value_network_params != before).any():
             copies.append(sum(steps))
 
-    agent.target_updater.step = watched_step
+    replicate.target_updater.step = watched_step
     with RunFolder(tmp_path) as folder:
         trainer = Trainer(pipeline, [folder])
         trainer.run()
@@ -204,10 +204,10 @@ def test_limits_that_allow_nothing_are_refused(override):
 
 
 def test_seeds_may_be_named_as_a_range():
-    assert TrainingPlan(1, 1, seeds=["0..3", 7]).agent_seeds(5) == [0, 1, 2, 3, 7]
-    assert TrainingPlan(1, 1).agent_seeds(5) == [5]
+    assert TrainingPlan(1, 1, seeds=["0..3", 7]).replicate_seeds(5) == [0, 1, 2, 3, 7]
+    assert TrainingPlan(1, 1).replicate_seeds(5) == [5]
     with pytest.raises(ConfigError, match=r"trainer.seeds has '3..1'; write seeds as"):
-        TrainingPlan(1, 1, seeds=["3..1"]).agent_seeds(5)
+        TrainingPlan(1, 1, seeds=["3..1"]).replicate_seeds(5)
 
 
 def test_the_configuration_is_found():

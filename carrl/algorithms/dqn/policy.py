@@ -29,13 +29,13 @@ class EpsilonGreedy(EGreedyModule):
 
     TorchRL's own module anneals linearly; this one overrides the schedule, draws from generators of its own, and
     also writes `epsilon` [B] float32 and `exploratory` [B] bool, whether the action was drawn at random. All cars
-    that step together act on the same t; `step` counts every car of one agent.
+    that step together act on the same t; `step` counts every car of one replicate.
 
     Args:
         epsilon_max: at t = 0.
         epsilon_min: which epsilon never falls below.
         action_spec: of one car.
-        generators: one for each agent, on the CPU; the cars are divided evenly among them, in order.
+        generators: one for each replicate, on the CPU; the cars are divided evenly among them, in order.
 
     Raises:
         ConfigError: unless 0 <= epsilon_min <= epsilon_max <= 1.

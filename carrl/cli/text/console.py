@@ -119,7 +119,7 @@ def _figures_of_logs(trainer: Trainer) -> str:
     count = len(trainer.runs)
     rate = trainer.updates * count / max(trainer.wall_time_s, 1e-9)
     loss = sum(run.status.loss for run in trainer.runs) / count
-    each = "" if count == 1 else f" of each of {count} agents"
+    each = "" if count == 1 else f" of each of {count} replicates"
     return (
         f"  {trainer.updates:,} updates{each} · {rate:,.0f} updates/s\n"
         f"  {trainer.source.transitions:,} transitions from logs · loss {loss:.1f}"
@@ -167,7 +167,7 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> Non
 
 
 def _laps_so_far(trainer: Trainer) -> str:
-    """How many agents lapped the track twice running, or on how many of several circuits their best networks did."""
+    """How many replicates lapped the track twice running, or on how many of several tracks their best networks did."""
     runs = trainer.runs
     trials = [run.best for run in runs if run.best is not None]
     if not trials or len(trials[0].rollouts) == 1:

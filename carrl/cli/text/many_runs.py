@@ -91,7 +91,7 @@ class SweepConsole:
 
 
 def _result(summaries: Sequence[Mapping[str, Any]]) -> str:
-    """How far the agents of a job have come, in a few words."""
+    """How far the replicates of a job have come, in a few words."""
     if not summaries:
         return "no result"
     laps, first, progress, *_ = _figures(summaries)
@@ -101,7 +101,7 @@ def _result(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _figures(summaries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Laps, and medians over the agents of a job."""
+    """Laps, and medians over the replicates of a job."""
     first_laps = [summary["first_lap"]["frame"] for summary in summaries if summary["first_lap"]]
     drives = [summary["evaluation"] for summary in summaries if summary["evaluation"]]
     lapped = sum(drive["lap_completed"] for drive in drives)
