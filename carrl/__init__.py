@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bicycle",
+    "CarrlError",
     "ContinuousActions",
     "DiscreteActions",
     "GymTrackEnv",
@@ -56,6 +57,7 @@ register_with_torchrl()
 
 _HOMES = {
     "Bicycle": "carrl.sim.vehicle",
+    "CarrlError": "carrl.errors",
     "ContinuousActions": "carrl.task.action",
     "DiscreteActions": "carrl.task.action",
     "GymTrackEnv": "carrl.env.gym_env",

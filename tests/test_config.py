@@ -26,7 +26,7 @@ def test_every_option_of_every_group_builds(leaf):
     if option == "ray":
         pytest.importorskip("ray", reason="clusters need it; pip install 'carrl[ray]'")
     pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
-    assert len(pipeline.algorithm.seeds) == 1
+    assert len(pipeline.algorithm.seeds) >= 1
     pipeline.source.close()
 
 

@@ -316,34 +316,3 @@ def _label_first_lap(axes: Axes, episode: int) -> None:
         fontsize=8.5,
         color=VERMILLION,
     )
-
-
-_LEAST_STEP = 1e-300
-
-
-def round_number(least: float) -> float:
-    """The smallest of ..., 1, 2, 5, 10, 20, 50, ... that is not below `least`, which is positive."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(digit * power for digit in (1, 2, 5, 10) if digit * power >= least)
-
-
-def round_ticks(low: float, high: float, most: int) -> list[float]:
-    """Multiples of a round number from `low` to `high`, with at most so many spaces between them."""
-    step = step_between(low, high, most)
-    return [step * number for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
-
-
-def step_between(low: float, high: float, most: int) -> float:
-    """A round number that is at most so many times between two others; 1 between equals, more where floats are sparse.
-
-    Neither the difference of two floats nor a part of it need be a float above 0.
-    """
-    least = high / most - low / most if high > low else 1.0
-    return round_number(max(least, math.ulp(low), math.ulp(high), _LEAST_STEP))
-
-
-def span(low: float, high: float) -> tuple[float, float]:
-    """These two, or a little to both sides of them where no chart could tell them apart."""
-    margin = 0.5 if high <= low else 0.0
-    least = 64 * max(math.ulp(low), math.ulp(high), _LEAST_STEP)
-    return (low, high) if high - low >= least else (low - max(margin, least), high + max(margin, least))

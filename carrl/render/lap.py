@@ -18,9 +18,10 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from carrl.errors import printable
+from carrl.render import round_number
 from carrl.render.canvas import Area, Canvas, Floats, Stroke, View, closed, text_width
 from carrl.render.colours import BLACK, FAINT, INK, LIGHT, PAPER
-from carrl.render.curves import WIDTH, round_number, save_drawing
+from carrl.render.curves import WIDTH, save_drawing
 from carrl.render.scene import (
     PRINT,
     Ground,

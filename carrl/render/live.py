@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -295,16 +296,6 @@ def _map_area(panel: Area) -> Area:
     return Area(panel.left + 8, panel.top + 8, panel.width - 16, panel.height - 32)
 
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-try:
-    with warnings.catch_warnings():
-        # pygame 2.6 imports setuptools' pkg_resources where that exists, which then warns of its own end.
-        warnings.filterwarnings("ignore", "pkg_resources is deprecated")
-        warnings.filterwarnings("ignore", r"Deprecated call to `pkg_resources", DeprecationWarning)
-        import pygame
-except ImportError as error:
-    raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
-
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
 
 
@@ -316,11 +307,12 @@ class Window:
         title: above it.
 
     Raises:
-        ConfigError: there is no display.
+        ConfigError: there is no display, or no pygame.
     """
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
         """Opens it."""
+        self._pygame = pygame = _import_pygame()
         try:
             # Without a display SDL 2.28 draws where nobody can see it, instead of failing.
             if sys.platform == "linux" and not any(name in os.environ for name in _DISPLAYS):
@@ -335,12 +327,25 @@ class Window:
 
     def show(self, picture: Picture, fps: float) -> None:
         """Shows a picture [H, W, 3], no sooner than 1 / fps seconds after the one before."""
-        height, width = picture.shape[:2]
+        pygame, (height, width) = self._pygame, picture.shape[:2]
         self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
         pygame.event.pump()
         self._clock.tick(fps)
         pygame.display.flip()
 
     def close(self) -> None:
-        """Closes it; twice does no harm."""
-        pygame.display.quit()
+        """Closes it; twice is no harm."""
+        self._pygame.display.quit()
+
+
+def _import_pygame() -> Any:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        with warnings.catch_warnings():
+            # pygame 2.6 imports setuptools' pkg_resources where that exists, which then warns of its own end.
+            warnings.filterwarnings("ignore", "pkg_resources is deprecated")
+            warnings.filterwarnings("ignore", r"Deprecated call to `pkg_resources", DeprecationWarning)
+            import pygame
+    except ImportError as error:
+        raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
+    return pygame

@@ -15,9 +15,9 @@ from matplotlib.path import Path as Outline
 from numpy.typing import ArrayLike, NDArray
 
 from carrl.log.scene import TrackShape
+from carrl.render import round_number
 from carrl.render.canvas import Canvas, Floats, Stroke, View, closed, segments
 from carrl.render.colours import DARK, LIGHT, PAPER, Theme
-from carrl.render.curves import round_number
 from carrl.render.episode import connected_walls
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from rich.table import Table
 from rich.text import Text
 
 from carrl.log.scene import TrackShape
+from carrl.render import round_ticks, step_between
 from carrl.render.colours import DARK, rgb
-from carrl.render.curves import round_ticks, step_between
 from carrl.render.episode import connected_walls
 
 Bounds = tuple[float, float]

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from carrl.errors import CarrlError
 from carrl.log.scene import TrackShape
+from carrl.render import round_number, span
 from carrl.render.canvas import Canvas, View
 from carrl.render.colours import BLUE, FAINT, INK, LIGHT, VERMILLION, YELLOW
 from carrl.render.curves import (
@@ -23,9 +24,7 @@ from carrl.render.curves import (
     legend_of,
     new_figure,
     plain_axes,
-    round_number,
     save_figure,
-    span,
 )
 from carrl.render.scene import PRINT, Ground, draw_ground, number_gates
 from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct

@@ -87,6 +87,9 @@ class Observation:
         """Raises ConfigError where there is nothing to see."""
         if not self.terms:
             raise ConfigError("observation has no terms; name at least one, such as rays")
+        for name, term in self.terms.items():
+            if not callable(getattr(term, "part", None)):
+                raise ConfigError(f"observation.{name} has no method part(name, sensor, action), which says its width")
 
     def parts(self, sensor: Sensor, action: ActionMap) -> tuple[Part, ...]:
         """Where each term stands."""

@@ -5,9 +5,12 @@ Every environment is a thin cover over it, and so is every evaluation.
 Shapes: `N` cars driven side by side, `K` of them, `O` values of an observation.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+import traceback
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -174,8 +177,46 @@ class Task:
         drawn = self.streams.uniform(*spec.shape).to(self.simulator.device)
         return (spec.low + (spec.high - spec.low) * drawn).float()
 
+    def try_terms(self) -> None:
+        """Tries every term on two cars at a track's start, with random numbers of its own.
+
+        Raises:
+            ConfigError: a term fails, or its value has another shape than it should, or one that is not finite or, of
+                an observation, outside of its bounds.
+        """
+        trial = Task(self.simulator, 2, [0], action=self.action, observation=self.observation, reward=self.reward)
+        cars = self.simulator.start(torch.zeros(2))
+        first = self.action.first.to(self.simulator.device)
+        state = EpisodeState(cars, torch.zeros_like(cars.next_gate), first.expand(2, *first.shape).clone())
+        seen = ObservationContext(state, self.simulator.sense(cars), self.simulator, self.action, trial.streams)
+        for part, (name, term) in zip(self.observation_parts, self.observation.terms.items(), strict=True):
+            _check_value(f"observation.{name}", term, seen, (2, part.width), part.low, part.high)
+        outcome = self.simulator.step(cars, self.action.controls(state.last_action))
+        step = StepContext(state, state.last_action, outcome, self.simulator, self.action)
+        for name, earns in self.reward.terms.items():
+            _check_value(f"reward.{name}", earns, step, (2,), -math.inf, math.inf)
+
     def _observe(self, state: EpisodeState, ranges: Tensor, wanted: Tensor | None = None) -> Tensor:
         return self.observation(ObservationContext(state, ranges, self.simulator, self.action, self.streams, wanted))
+
+
+def _check_value(
+    name: str, term: Callable[..., Tensor], context: Any, shape: tuple[int, ...], low: float, high: float
+) -> None:
+    try:
+        value = term(context)
+    except ConfigError:
+        raise
+    except Exception as error:  # of a person's own code
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise ConfigError(f"{name}: {type(error).__name__}: {error} ({place.filename}:{place.lineno})") from error
+    wanted = "[N]" if len(shape) == 1 else f"[N, {shape[1]}]"
+    found = list(value.shape) if isinstance(value, Tensor) else f"of type {type(value).__name__}"
+    if found != list(shape):
+        raise ConfigError(f"{name} gives {found} for 2 cars; it must give a tensor {wanted} for N cars")
+    if not ((value >= low) & (value <= high) & value.isfinite()).all():
+        values = shown(value.flatten().tolist())
+        raise ConfigError(f"{name} gives {values}; its values must be finite and lie in {low}..{high}")
 
 
 def make_task(

@@ -169,6 +169,7 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         device=device,
         seed=[part_seed(seed, "env") for seed in seeds],
     )
+    env.task.try_terms()
     return env
 
 

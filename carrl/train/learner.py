@@ -208,8 +208,10 @@ def divergence_sentence(report: Mapping[str, Any]) -> str:
     reward = report["minibatch"]["next.reward"]
     norms = ", ".join(f"{float(norm):.3g}" for norm in report["parameter_norms"].values())
     place = f"at update {report['update']:,}" + (f", frame {report['frame']:,}," if "frame" in report else "")
+    finite = all(math.isfinite(float(reward[name])) for name in ("least", "greatest"))
+    remedy = "try a smaller optimizer.lr" if finite else "a term of the reward is not finite; repair it, and go on"
     return (
         f"the loss is {report['loss']} {place} of seed {report['seed']}: the rewards of its minibatch are "
         f"{reward['least']} to {reward['greatest']}, the norms of the parameters {norms} ({DIVERGENCE} has all of it); "
-        "try a smaller optimizer.lr, also with resume=RUN"
+        f"{remedy}, also with resume=RUN"
     )

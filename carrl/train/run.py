@@ -17,7 +17,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from carrl.errors import CarrlError, CheckpointError, ConfigError
+from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.evaluation.results import Rollout, aggregate
 from carrl.evaluation.rollout import Policy, TrackEvaluator, random_policy, rule_policy, rule_world
 from carrl.log.reader import Log
@@ -104,7 +104,8 @@ class Run:
             raise CarrlError(
                 f"{self!r} has {len(self._folders)} seeds; take the policy of one: run.replicates[0].policy"
             )
-        return DrivingPolicy(load_greedy_policy(self.folder, "best", self.config, self.world))
+        policy = load_greedy_policy(self.folder, "best", self.config, self.world)
+        return DrivingPolicy(policy, self.world.observation_size)
 
     @property
     def log(self) -> Log:
@@ -174,13 +175,24 @@ class DrivingPolicy:
 
     Attributes:
         of_many: observations [B, O] to actions [B, ...].
+        size: values of an observation, O.
     """
 
     of_many: Policy
+    size: int
 
     def __call__(self, observation: Array) -> Array:
-        """The action for an observation [O], or the actions for many [B, O], on the CPU, of the same kind of array."""
-        given = torch.as_tensor(observation, dtype=torch.float32)
+        """The action for an observation [O], or the actions for many [B, O], on the CPU, of the same kind of array.
+
+        Raises:
+            ConfigError: it has another size.
+        """
+        try:
+            given = torch.as_tensor(observation, dtype=torch.float32)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ConfigError(f"an observation is numbers, not {shown(observation)}") from error
+        if given.dim() not in (1, 2) or given.shape[-1] != self.size:
+            raise ConfigError(f"an observation has {self.size} values, not the shape {list(given.shape)}")
         with torch.no_grad():
             actions = self.of_many(given if given.dim() > 1 else given[None])
         actions = actions if given.dim() > 1 else actions[0]
@@ -257,6 +269,9 @@ def train(
     Raises:
         CarrlError: the configuration cannot be, or something ended the training before its time.
     """
+    if config_dir is not None and not Path(config_dir).is_dir():
+        raise ConfigError(f"config_dir is '{config_dir}', which is no folder")
+    overrides = [overrides] if isinstance(overrides, str) else overrides
     typed = [*_typed({**({"experiment": experiment} if experiment else {}), **values})]
     typed += _typed(overrides) if isinstance(overrides, Mapping) else overrides
     watching = [_Warner(), *([_Printer()] if progress else []), *callbacks]

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from carrl.cli.text.episode_text import print_episode, ray_bars
 from carrl.log.trace import EpisodeTrace
-from carrl.render.curves import round_ticks
+from carrl.render import round_ticks
 from carrl.render.terminal import Chart, Ink, action_inks, map_chart
 
 

@@ -138,7 +138,7 @@ class TestARunWhoseWorkerWasKilled:
         assert killed.listened <= LOOPBACK
 
     def test_signals_still_end_a_run_with_everything_saved(self, killed):
-        assert killed.sigterm.__qualname__.startswith("stopping_on_signals")
+        assert killed.sigterm.__qualname__.startswith("StopOnSignals")
 
     def test_no_process_is_left(self, killed):
         assert any("raylet" in command for command in killed.processes.values())

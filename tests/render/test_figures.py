@@ -9,6 +9,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from carrl.errors import CarrlError
+from carrl.render import round_number
 from carrl.render.colours import BLACK, BLUE, GREEN, LIGHT, VERMILLION, YELLOW, rgb
 from carrl.render.curves import (
     DOT,
@@ -20,7 +21,6 @@ from carrl.render.curves import (
     draw_learning_curve,
     draw_learning_curves,
     new_figure,
-    round_number,
     save_figure,
 )
 from carrl.render.lap import TrackMap, draw_lap, draw_track_map, prevailing_actions

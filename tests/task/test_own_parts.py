@@ -9,8 +9,11 @@ from gymnasium.vector import AutoresetMode
 from torchrl.envs.utils import check_env_specs
 
 from carrl import ContinuousActions, DiscreteActions, GymTrackEnv, Sensor, Start, TrackEnv, rays_and_last_action
+from carrl.errors import ConfigError
 from carrl.evaluation.rollout import random_policy, rollout_laps, rule_policy
+from carrl.task.observation import Observation, Part
 from carrl.task.reward import LAP_TERMS, Collision, Gate, Proximity, Reward, Shaping, Steering
+from carrl.task.task import make_task
 from tests.sim.vehicles import Interpreted, Odometer
 from tests.worlds import make_world
 
@@ -207,3 +210,47 @@ def test_evaluation_drives_with_other_actions(own):
     assert attempts[0].measures() == attempts[1].measures()
     assert len(attempts[0].actions) == attempts[0].lap_steps > 5
     assert attempts[0].steering_reward < 0
+
+
+class WrongTerm:
+    """A term that gives what it is told to give."""
+
+    def __init__(self, value, width=1):
+        self.value, self.width = value, width
+
+    def part(self, name, sensor, action):
+        return Part(name, self.width, 0.0, 1.0)
+
+    def __call__(self, _context):
+        if isinstance(self.value, Exception):
+            raise self.value
+        return self.value
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"reward": Reward({"own": WrongTerm(torch.zeros(2, 7))})}, r"reward.own gives \[2, 7\] for 2 cars; .* \[N\]"),
+        ({"reward": Reward({"own": WrongTerm(torch.tensor([0.0, torch.nan]))})}, r"reward.own gives \[0.0, nan\]"),
+        ({"reward": Reward({"own": WrongTerm(3.0)})}, "reward.own gives of type float"),
+        (
+            {"reward": Reward({"own": WrongTerm(AttributeError("outcom"))})},
+            r"reward.own: AttributeError: outcom \(.*py",
+        ),
+        ({"observation": Observation({"own": WrongTerm(torch.zeros(2))})}, r"observation.own gives \[2\] for 2 cars"),
+        ({"observation": Observation({"own": WrongTerm(torch.zeros(2, 1), 2)})}, r"must give a tensor \[N, 2\]"),
+        (
+            {"observation": Observation({"own": WrongTerm(torch.full((2, 1), 9.0))})},
+            "must be finite and lie in 0",
+        ),
+    ],
+)
+def test_a_term_that_gives_something_wrong_is_named_before_training(parts, message):
+    task = make_task("oval", 4, **parts)
+    with pytest.raises(ConfigError, match=message):
+        task.try_terms()
+
+
+def test_an_observation_term_without_a_width_is_named():
+    with pytest.raises(ConfigError, match=r"observation.own has no method part"):
+        Observation({"own": lambda context: context.ranges})

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from carrl.errors import CheckpointError, ConfigError
-from carrl.train.build import build_world
 from carrl.train.checkpoint import load_checkpoint, save_checkpoint
 from carrl.train.files import load_config
 
@@ -55,9 +54,11 @@ def test_a_checkpoint_that_would_run_code_does_not(tmp_path):
 
 
 @pytest.mark.parametrize("target", ["os.system", "carrl.config.inspect.os.system", "builtins.eval", "carrl.nothing"])
-def test_a_config_cannot_name_code_outside_carrl(target):
+def test_the_config_of_a_folder_cannot_name_code_outside_carrl(target, tmp_path):
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_text(f"track: {{_target_: {target}, command: 'true'}}")
     with pytest.raises(ConfigError, match=r"track\._target_"):
-        build_world({"track": {"_target_": target, "command": "true"}, "vehicle": {}, "sensor": {}, "reward": {}})
+        load_config(tmp_path)
 
 
 @pytest.mark.parametrize("content", ["", "[1, 2]", "track: x", "{", "!!python/object/apply:os.system ['true']"])

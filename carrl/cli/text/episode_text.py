@@ -14,8 +14,8 @@ from rich.text import Text
 
 from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
+from carrl.render import span
 from carrl.render.colours import DARK, ERROR
-from carrl.render.curves import span
 from carrl.render.episode import EpisodeScene, Series, direction, steps_of
 from carrl.render.terminal import Chart, Ink, action_inks, map_chart, shows_colours
 

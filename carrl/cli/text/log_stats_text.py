@@ -9,8 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from carrl.log.scene import TrackShape
+from carrl.render import round_number, span
 from carrl.render.colours import DARK, ERROR, WARNING
-from carrl.render.curves import round_number, span
 from carrl.render.terminal import BarRow, Chart, Ink, action_inks, bars, histogram, map_chart, shows_colours
 from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct, section_name
 
