@@ -4,6 +4,7 @@ What a person types may name any class or function that can be imported; what a 
 `TARGETS` lists, unless the person trusts their module: `check_targets` is the border between the two.
 """
 
+import importlib.util
 import inspect
 import pkgutil
 import sys
@@ -150,11 +151,43 @@ def module_of(target: str) -> str:
 def _importable_name(module: str) -> str:
     """The name of a module that is given by its name or its file, which can then be imported."""
     path = Path(module)
-    if path.suffix != ".py" and not path.is_dir():
+    if path.suffix != ".py" and not (path / "__init__.py").is_file():
         make_importable_from([Path.cwd()])
         return module
+    if not path.exists():
+        raise ConfigError(f"the module to trust, '{module}', is no file; name one that is there, or a module")
     make_importable_from([path.absolute().parent])
+    _load(path.stem, (path / "__init__.py" if path.is_dir() else path).resolve())
     return path.stem
+
+
+def _load(name: str, file: Path) -> None:
+    """Imports a module from this file, and no other one of its name.
+
+    Raises:
+        ConfigError: another one is imported already, or it cannot be imported.
+    """
+    check_is_no_other(name, file)
+    if name in sys.modules:
+        return
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"'{file}' cannot be imported: it is no Python file")
+    sys.modules[name] = module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # of a person's own code
+        del sys.modules[name]
+        raise ConfigError(f"'{file}' cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def check_is_no_other(name: str, file: Path) -> None:
+    """Raises ConfigError if a module of this name is imported from another file."""
+    found = getattr(sys.modules.get(name), "__file__", None)
+    if name in sys.modules and (found is None or Path(found).resolve() != file.resolve()):
+        raise ConfigError(
+            f"module {name} is imported already from {found or 'elsewhere'}, and not from {file}; rename one of them"
+        )
 
 
 def name_for_trust(module: str) -> str:
@@ -168,10 +201,15 @@ def name_for_trust(module: str) -> str:
 
 def make_importable(config: Mapping[str, Any], folders: Iterable[Path]) -> None:
     """Lets modules here, in these folders and just above them be imported, if the config names any but CarRL's own."""
-    if foreign_targets(config):
-        make_importable_from(
-            [Path.cwd(), *(place for folder in folders for place in (folder, folder.absolute().parent))]
-        )
+    targets, own = foreign_targets(config), [place for each in folders for place in (each, each.absolute().parent)]
+    for name in {module_of(str(target)) for target in targets.values()}:
+        files = [
+            file for place in own for file in (place / f"{name}.py", place / name / "__init__.py") if file.is_file()
+        ]
+        if files:
+            check_is_no_other(name, files[0])
+    if targets:
+        make_importable_from([Path.cwd(), *own])
 
 
 def make_importable_from(folders: Iterable[Path]) -> None:

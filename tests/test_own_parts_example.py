@@ -123,3 +123,15 @@ def test_a_target_that_cannot_be_is_one_sentence(target, says, capsys):
     assert "carrl: reward.own._target_ " in printed
     assert says in printed
     assert printed.count("\n") == 1
+
+
+def test_the_file_that_is_trusted_is_the_one_that_is_imported(run, tmp_path, monkeypatch, capsys):
+    (tmp_path / "own_parts.py").write_text("raise RuntimeError('another module of this name')")
+    monkeypatch.chdir(tmp_path)
+    sys.modules.pop("own_parts", None)
+    assert main(["evaluate", str(run), "--trust", str(EXAMPLE / "own_parts.py")]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", str(run), "--trust", "own_parts.py"]) == 2
+    assert "is imported already from" in capsys.readouterr().err
+    assert main(["evaluate", str(run), "--trust", "nothing.py"]) == 2
+    assert "is no file" in capsys.readouterr().err

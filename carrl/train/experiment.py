@@ -1,6 +1,9 @@
 """One training run, from its configuration to its pictures: what `carrl train`, `carrl tune` and Python go through."""
 
 import json
+import sys
+import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -156,6 +159,32 @@ class Experiment:
 def own_modules(config: Config) -> list[str]:
     """The modules, other than CarRL's, whose parts a run is made of, and which must be trusted to open it again."""
     return sorted({module_of(str(target)) for target in foreign_targets(config).values()})
+
+
+class RoadWarner(Callback):
+    """Warns of a track that does not suit the car."""
+
+    def on_start(self, trainer: Trainer) -> None:
+        """Warns, if there is a reason to."""
+        world = trainer.pipeline.world
+        if (warning := road_warning(world.circuits.all, world)) is not None:
+            warnings.warn(warning.removeprefix("warning: "), stacklevel=2)
+
+
+class ProgressPrinter(Callback):
+    """Prints a line on standard error every few seconds."""
+
+    _INTERVAL_S = 2.0
+    _printed_at = 0.0
+
+    def on_round(self, trainer: Trainer) -> None:
+        """Prints how far the training is."""
+        if time.monotonic() < self._printed_at + self._INTERVAL_S:
+            return
+        self._printed_at = time.monotonic()
+        loss = sum(run.status.loss for run in trainer.runs) / len(trainer.runs)
+        done = f"{trainer.frames:,} env steps, {trainer.updates:,} updates, loss {loss:.4g}"
+        print(f"{min(trainer.share_done, 1):.0%}: {done}", file=sys.stderr)
 
 
 def road_warning(tracks: Sequence[Track], world: World) -> str | None:

@@ -78,6 +78,11 @@ def read_config(run: Path) -> dict[str, Any]:
         raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
     config = _parsed(run / CONFIG, f"run '{run}': {CONFIG}")
     missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
+    if missing and isinstance(config, dict) and set(missing) <= {"action", "observation", "start"}:
+        raise CheckpointError(
+            f"run '{run}' was trained by an older version of CarRL, whose configuration has no {', '.join(missing)}; "
+            "evaluate it with that version, or train anew"
+        )
     if missing:
         raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
     return config

@@ -1,8 +1,6 @@
 """The Python front door: `carrl.train("fast", seed=3)`, and the run that comes of it or lies in a folder."""
 
 import json
-import sys
-import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -10,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar, get_args
 
 import numpy as np
 import torch
@@ -27,13 +25,12 @@ from carrl.tracks.track import Track
 from carrl.train.build import build_world, load_greedy_policy
 from carrl.train.callbacks import Callback
 from carrl.train.composition import composed, quote
-from carrl.train.experiment import Config, Experiment, Summary, own_modules, road_warning
+from carrl.train.experiment import Config, Experiment, ProgressPrinter, RoadWarner, Summary, own_modules
 from carrl.train.files import LOG, SUMMARY, load_config, read_text, seed_folders
 from carrl.train.new_folder import locked, make_new
 from carrl.train.overrides import check_is_read, is_text, named_overrides, readable_overrides
 from carrl.train.plan import checked_seed
 from carrl.train.resumption import resume as resumption_of
-from carrl.train.trainer import Trainer
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
 PolicyName = Literal["greedy", "rule", "random"]
@@ -162,6 +159,8 @@ class Run:
         return document
 
     def _policy_of(self, folder: Path, config: Config, policy: PolicyName, checkpoint: str) -> Policy:
+        if policy not in get_args(PolicyName):
+            raise ConfigError(f"policy is {shown(policy)}; it must be {', '.join(get_args(PolicyName))}")
         if policy == "rule":
             return rule_policy
         if policy == "random":
@@ -274,9 +273,17 @@ def train(
     overrides = [overrides] if isinstance(overrides, str) else overrides
     typed = [*_typed({**({"experiment": experiment} if experiment else {}), **values})]
     typed += _typed(overrides) if isinstance(overrides, Mapping) else overrides
-    watching = [_Warner(), *([_Printer()] if progress else []), *callbacks]
+    if not all(isinstance(each, Callback) for each in callbacks):
+        raise ConfigError(
+            f"callbacks is {shown(list(callbacks))}; it must list objects of carrl.train.callbacks.Callback"
+        )
+    watching = [RoadWarner(), *([ProgressPrinter()] if progress else []), *callbacks]
     if resume is not None:
+        if folder is not None or config_dir is not None:
+            raise ConfigError("folder and config_dir have no effect where a run is resumed; leave them out")
         return _resume(Path(resume), typed, trust, watching)
+    if trust:
+        raise ConfigError("trust has no effect without resume; what you name yourself is trusted")
     readable = readable_overrides(typed, is_sweep=None, verb="carrl.train", folder_key="folder=")
     config = composed(readable, None if config_dir is None else Path(config_dir))
     check_is_read(readable, config)
@@ -294,6 +301,8 @@ def _resume(run: Path, typed: Sequence[str], trust: Sequence[str], callbacks: Se
     load_config(run, trust)  # so that nothing is written to a folder that is no run's
     with locked(run):
         resumption = resumption_of(run, named_overrides(typed), trust)
+        for remark in resumption.remarks:
+            warnings.warn(remark, stacklevel=3)
         Experiment(resumption.config, run).go_on(resumption.state, callbacks)
     return Run(run, trust)
 
@@ -313,38 +322,16 @@ def _as_typed(value: Any) -> str:
     Raises:
         ConfigError: it is no plain value.
     """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, str | Path):
         return str(value) if is_text(f"key={value}") else quote(str(value))
     if isinstance(value, list | tuple | range):
         return f"[{','.join(map(_as_typed, value))}]"
     if value is None or isinstance(value, bool):
         return json.dumps(value)
-    if isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, int | float):
         return str(value)
     if value == {}:
         return "{}"
     raise ConfigError(f"{value!r} is no value of a configuration; give a number, text, list or mapping")
-
-
-class _Warner(Callback):
-    """Warns of a track that does not suit the car."""
-
-    def on_start(self, trainer: Trainer) -> None:
-        world = trainer.pipeline.world
-        if (warning := road_warning(world.circuits.all, world)) is not None:
-            warnings.warn(warning.removeprefix("warning: "), stacklevel=2)
-
-
-class _Printer(Callback):
-    """Prints a line every few seconds."""
-
-    _INTERVAL_S = 2.0
-    _printed_at = 0.0
-
-    def on_round(self, trainer: Trainer) -> None:
-        if time.monotonic() < self._printed_at + self._INTERVAL_S:
-            return
-        self._printed_at = time.monotonic()
-        loss = sum(run.status.loss for run in trainer.runs) / len(trainer.runs)
-        done = f"{trainer.frames:,} env steps, {trainer.updates:,} updates, loss {loss:.4g}"
-        print(f"{min(trainer.share_done, 1):.0%}: {done}", file=sys.stderr)

@@ -1,5 +1,6 @@
 """Checkpoints and run folders as data that may be damaged or hostile."""
 
+import json
 import pickle
 
 import pytest
@@ -56,7 +57,9 @@ def test_a_checkpoint_that_would_run_code_does_not(tmp_path):
 @pytest.mark.parametrize("target", ["os.system", "carrl.config.inspect.os.system", "builtins.eval", "carrl.nothing"])
 def test_the_config_of_a_folder_cannot_name_code_outside_carrl(target, tmp_path):
     (tmp_path / ".hydra").mkdir()
-    (tmp_path / ".hydra" / "config.yaml").write_text(f"track: {{_target_: {target}, command: 'true'}}")
+    groups = ("vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")
+    config = {"track": {"_target_": target, "command": "true"}, **dict.fromkeys(groups)}
+    (tmp_path / ".hydra" / "config.yaml").write_text(json.dumps(config))
     with pytest.raises(ConfigError, match=r"track\._target_"):
         load_config(tmp_path)
 

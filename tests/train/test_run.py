@@ -141,6 +141,40 @@ def test_a_mistake_is_one_error_and_leaves_nothing_behind(values, says, tmp_path
     assert not list(tmp_path.rglob("*.yaml"))
 
 
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"folder": "elsewhere"}, "folder and config_dir have no effect where a run is resumed"),
+        ({"config_dir": "."}, "folder and config_dir have no effect where a run is resumed"),
+        ({"callbacks": [3]}, "callbacks is"),
+    ],
+)
+def test_what_has_no_effect_on_a_resumed_run_is_refused(run, values, says):
+    with pytest.raises(ConfigError, match=says):
+        carrl.train(resume=run.folder, **values)
+
+
+def test_a_policy_that_there_is_not_is_refused(run):
+    with pytest.raises(ConfigError, match="policy is 'quick'; it must be greedy, rule, random"):
+        run.evaluate("oval", policy="quick")
+
+
+@pytest.mark.parametrize("observation", [[0.5] * 8, "x", None, np.zeros((2, 2, 7))])
+def test_an_observation_of_another_size_is_refused(run, observation):
+    with pytest.raises(ConfigError, match="observation"):
+        run.policy(observation)
+
+
+def test_a_run_of_an_older_version_is_called_so(run, tmp_path):
+    config = json.loads(json.dumps(run.config))
+    for key in ("action", "observation", "start"):
+        del config[key]
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_text(json.dumps(config))
+    with pytest.raises(CheckpointError, match="was trained by an older version of CarRL"):
+        carrl.Run.load(tmp_path)
+
+
 def test_a_folder_that_has_a_run_is_refused(run):
     with pytest.raises(ConfigError, match="has a run already"):
         carrl.train("fast", overrides=TINY, folder=run.folder)
