@@ -126,8 +126,14 @@ def check_targets(config: Mapping[str, Any], trust: Iterable[str] = ()) -> None:
         trust: names of modules, or paths of their files, such as "parts" or "mine/parts.py".
 
     Raises:
-        ConfigError: the config names something else; the message says how to trust it.
+        ConfigError: the config names something else, and the message says how to trust it; or it is of an older CarRL.
     """
+    older = [key for key in ("action", "observation", "start") if key not in config]
+    if older:
+        raise ConfigError(
+            f"it was trained by an older version of CarRL, which had no {', '.join(older)}; evaluate it with that "
+            "version, or train anew"
+        )
     trusted = [_importable_name(each) for each in trust]
     for place, target in foreign_targets(config).items():
         if not isinstance(target, str) or "." not in target:

@@ -112,14 +112,14 @@ def main(argv: list[str]) -> int:
     if arguments.timeout is not None and not 0 < arguments.timeout < math.inf:
         raise ConfigError(f"--timeout is {arguments.timeout}; it must be a positive number of seconds")
     overrides = readable_overrides(arguments.overrides, is_sweep=None)
-    config = composed(overrides)
+    config = composed(overrides, arguments.config_dir)
     if config.get("data"):
         raise ConfigError("data is given, but only training in the simulator can be tuned; leave data=log out")
     space = parse_search_space(config.get(SEARCH))
     _check_is_free(overrides, space)
     folder = arguments.folder or make_new(Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}"))
     _make_writable(folder)
-    tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder)
+    tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder, arguments.config_dir)
     with locked(folder, waiting=True):  # several commands may share a study, but only one may make it
         study = _open_study(arguments, tuning, config["seed"])
     console = TuningConsole(arguments.trials, tuple(space), maximizes=tuning.objective.direction == "maximize")
@@ -155,12 +155,14 @@ class Tuning:
         space: what each trial draws besides.
         objective: what is sought.
         folder: of the study; each trial has a run's folder in it.
+        own_folder: of groups and experiments of one's own.
     """
 
     overrides: Sequence[str]
     space: SearchSpace
     objective: Objective
     folder: Path
+    own_folder: Path | None = None
 
     def run_trial(self, study: Any) -> None:
         """Draws settings, trains with them, and tells the study what came of it.
@@ -174,7 +176,7 @@ class Tuning:
         trial = study.ask()
         drawn = [f"{key}={values.suggest(trial, key)}" for key, values in self.space.items()]
         try:
-            config = composed([*self.overrides, *drawn])
+            config = composed([*self.overrides, *drawn], self.own_folder)
             config.pop(SEARCH)
             pruning = PruningCallback(trial, self.objective, config)
             summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
@@ -299,15 +301,17 @@ def _print_best(study: Any, tuning: Tuning) -> None:
         raise CarrlError("no trial was completed; allow more --trials or a longer --timeout")
     best = study.best_trial
     drawn = [f"{key}={value}" for key, value in best.params.items()]
-    command = f"carrl train {shlex.join([*_read_by_training(tuning.overrides), *drawn])}"
+    command = f"carrl train {shlex.join([*_read_by_training(tuning.overrides, tuning.own_folder), *drawn])}"
     print(f"trial {best.number} is the best; train with its settings:\n\n  {command}")
     print(f"\nresults in {tuning.folder.absolute()}")
 
 
-def _read_by_training(overrides: Sequence[str]) -> list[str]:
-    """Those of a study's overrides that `carrl train` reads, too: neither its search nor a seed of its own alone."""
-    has_seeds = composed(overrides)["trainer"].get("seeds") is not None
-    return [each for each in overrides if not (is_search(each) or (has_seeds and re.match(r"\+*seed=", each)))]
+def _read_by_training(overrides: Sequence[str], own_folder: Path | None = None) -> list[str]:
+    """What of a study's command line `carrl train` reads, too: neither its search nor a seed of its own alone."""
+    has_seeds = composed(overrides, own_folder)["trainer"].get("seeds") is not None
+    own = [] if own_folder is None else ["--config-dir", str(own_folder)]
+    settings = [each for each in overrides if not (is_search(each) or (has_seeds and re.match(r"\+*seed=", each)))]
+    return [*own, *settings]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -329,6 +333,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--no-pruning", action="store_true", help="give up no trial before its end")
     parser.add_argument(
         "--folder", type=named_folder, help="of the study, to go on with it (default: outputs/tune/DATE/TIME)"
+    )
+    parser.add_argument(
+        "--config-dir",
+        type=named_folder,
+        metavar="FOLDER",
+        help="of your own groups, as for carrl train",
     )
     parser.add_argument("--storage", metavar="URL", help=f"of the study (default: sqlite:///FOLDER/{STUDY})")
     return parser

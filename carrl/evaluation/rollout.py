@@ -16,9 +16,10 @@ from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.action import ActionMap, steer3
+from carrl.task.checks import whole_number
 from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS
-from carrl.task.task import Task, World
+from carrl.task.task import MOST_CARS, Task, World
 from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
@@ -79,8 +80,7 @@ def rollout_laps(
     Raises:
         ConfigError: fewer than one start place, or a drive takes too many steps.
     """
-    if starts < 1:
-        raise ConfigError(f"starts is {starts}; it must be at least 1")
+    starts = whole_number("starts", starts, 1, MOST_CARS)
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
     return rollout(world, simulator, policy, torch.cat(stations), track, kept)

@@ -31,7 +31,7 @@ EVALUATIONS = "evaluations.csv"
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 LAP = "lap.png"
-_CONFIG_KEYS = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")
+_CONFIG_KEYS = ("track", "vehicle", "sensor", "reward", "env", "network", "seed")
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_CONFIG_BYTES = 2**18
 """Eighty times what training writes."""
@@ -78,11 +78,6 @@ def read_config(run: Path) -> dict[str, Any]:
         raise CheckpointError(f"run '{run}' is not a folder; name a run's, such as outputs/2026-01-31/12-00-00")
     config = _parsed(run / CONFIG, f"run '{run}': {CONFIG}")
     missing = [key for key in _CONFIG_KEYS if not isinstance(config, dict) or key not in config]
-    if missing and isinstance(config, dict) and set(missing) <= {"action", "observation", "start"}:
-        raise CheckpointError(
-            f"run '{run}' was trained by an older version of CarRL, whose configuration has no {', '.join(missing)}; "
-            "evaluate it with that version, or train anew"
-        )
     if missing:
         raise CheckpointError(f"run '{run}': {CONFIG} lacks {', '.join(missing)}; it is not what training wrote")
     return config

@@ -38,6 +38,17 @@ def test_a_seed_is_printed_only_where_training_reads_it(search, read):
 
 
 @needs_optuna
+def test_an_experiment_of_ones_own_is_searched(tmp_path, capsys):
+    (tmp_path / "conf" / "experiment").mkdir(parents=True)
+    (tmp_path / "conf" / "experiment" / "mine.yaml").write_text(
+        "# @package _global_\nsearch:\n  optimizer.lr: {choices: [0.001, 0.002]}\n"
+    )
+    own = ["--config-dir", str(tmp_path / "conf"), "experiment=mine", *TINY[1:]]
+    assert main(["tune", *own, "--trials", "1", "--folder", str(tmp_path / "study")]) == 0
+    assert f"carrl train --config-dir {tmp_path / 'conf'} experiment=mine" in capsys.readouterr().out
+
+
+@needs_optuna
 def test_a_study_goes_on_where_it_ended_but_not_with_something_else(tmp_path, capsys):
     assert tune(tmp_path, "--trials", "1") == 0
     assert tune(tmp_path, "--trials", "2") == 0

@@ -171,7 +171,7 @@ def test_a_run_of_an_older_version_is_called_so(run, tmp_path):
         del config[key]
     (tmp_path / ".hydra").mkdir()
     (tmp_path / ".hydra" / "config.yaml").write_text(json.dumps(config))
-    with pytest.raises(CheckpointError, match="was trained by an older version of CarRL"):
+    with pytest.raises(ConfigError, match="it was trained by an older version of CarRL"):
         carrl.Run.load(tmp_path)
 
 
