@@ -108,6 +108,8 @@ class _Drawing(Artist):
 DOT = "#9a9a9a"
 HEADROOM = 0.15
 """Share of the vertical axis added above the returns, where the first lap's label stands."""
+FEW_EPISODES = 200
+"""Dots so few that they need not be faint."""
 FEW_BLOCKS = 40
 """Up to so many block means, each has a dot of its own."""
 MOST_COLUMNS = 5
@@ -216,9 +218,10 @@ def _draw_single_returns(axes: Axes, returns: NDArray[np.float64], bounds: Bound
     # The lower bound is the frame itself, so triangles stand a little above it.
     shown = np.clip(returns, bounds.low + 0.012 * (bounds.high - bounds.low), bounds.high)
     below, above = returns < bounds.low, returns > bounds.high
+    alpha = 0.9 if len(returns) <= FEW_EPISODES else 0.45
     for marker, chosen, area in ((".", ~(below | above), 14), ("v", below, 18), ("^", above, 18)):
         axes.scatter(
-            episodes[chosen], shown[chosen], s=area * size, c=DOT, marker=marker, alpha=0.45, linewidths=0, zorder=2
+            episodes[chosen], shown[chosen], s=area * size, c=DOT, marker=marker, alpha=alpha, linewidths=0, zorder=2
         )
 
 
