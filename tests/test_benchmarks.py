@@ -128,8 +128,9 @@ def test_the_rows_of_a_profile_are_shares_the_largest_first():
 
 @pytest.mark.slow
 def test_a_training_is_profiled():
-    packages = {package for package, *_ in profiling.profile_rows(False, 1, 512)}
-    assert {"carrl.sim", "torchrl.collectors"} <= packages
+    rows = profiling.profile_rows(False, 1, 512)
+    assert sum(package.startswith("carrl.") for package, *_ in rows) >= 3  # of those that take no time none is sampled
+    assert sum(float(share.rstrip("%")) for *_, share in rows) == pytest.approx(100, abs=2)
 
 
 def test_the_race_prints_its_table_and_keeps_every_round(tmp_path, monkeypatch, capsys):

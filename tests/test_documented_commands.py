@@ -62,6 +62,7 @@ def made(tmp_path_factory):
         path = folder / "sweep" / f"loss={loss}"
         assert main(["train", "track=oval", *values, f"loss={loss}", f"hydra.run.dir={path}"]) == 0
     assert main(["track", "random", "--seed", "1", "--out", str(folder / "track.csv")]) == 0
+    assert main(["track", "convert", str(folder / "track.csv"), str(folder / "map.png")]) == 0
     return folder
 
 
@@ -72,6 +73,8 @@ def workplace(made, tmp_path, monkeypatch):
     for name in ("FILE.csv", "FOLDER/FILE.csv", "mine/a.csv", "with, comma.csv", "tight12/a.csv", "hard/a.csv"):
         Path(name).parent.mkdir(exist_ok=True)
         shutil.copy(made / "track.csv", name)
+    for name in ("map.yaml", "map.png"):
+        shutil.copy(made / name, name)
     for folder in ("acute", "docs/images"):
         Path(folder).mkdir(parents=True)
     for name in ("A", "B", "RUN", "to-go-on"):
