@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from carrl.sim.collision_geometry import CollisionGeometry
-from carrl.sim.vehicle import VehicleModel, as_array, compiled, inlined
+from carrl.sim.machine_code import apart, as_array, compiled, inlined
+from carrl.sim.vehicle import VehicleModel
 
 # Written out, since Numba's cache sees only changes to this file.
 _TINY = np.finfo(np.float64).tiny
@@ -157,6 +158,7 @@ def _follow(
     following, since_start, passed = np.empty(cars, np.int64), np.empty(cars, np.int64), np.empty(cars, np.int64)
     collided = np.empty(cars, np.bool_)
     work = np.empty((3, world.fan.shape[1]))
+    is_rectangle = world.half_length > 0
     for car in range(cars):
         _check_place(world, track[car], next_gate[car])
         begin_x, begin_y = np.float64(before[car, 0]), np.float64(before[car, 1])
@@ -165,11 +167,9 @@ def _follow(
         deck = _deck(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, deck)
         # What is no number fails every comparison: such a car would drive on for ever.
-        hit = not math.isfinite(x + y)
-        if world.half_length > 0:
-            hit = hit or _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
-        else:
-            hit = hit or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+        hit = not math.isfinite(x + y) or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+        if is_rectangle and not hit:
+            hit = _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
@@ -235,7 +235,7 @@ def _disc_touches(
     return False
 
 
-@inlined
+@apart
 def _rectangle_touches(
     world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float, heading: float
 ) -> bool:

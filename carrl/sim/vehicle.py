@@ -4,10 +4,6 @@ A model states its motion twice: `step` in torch, for any device and as the defi
 for the CPU as machine code. The simulator reads the first three entries of the state, where the car is; all else is
 the model's own business.
 
-Numba compiles a kernel when it is first called, in a few seconds, and keeps the code in `__pycache__` beside its file
-or, where that cannot be written, in the user's cache folder; NUMBA_CACHE_DIR names another one. The cache sees only
-changes to a function's own file, so what a compiled function takes from elsewhere must be among its arguments.
-
 Shapes: `N` cars, `S` entries of the state, `C` controls. Lengths are in metres, angles in radians counter-clockwise
 from +x.
 """
@@ -16,58 +12,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, update_wrapper
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
-
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""A division by zero gives inf or nan, as in torch."""
-
-
-class compiled:  # noqa: N801 (a decorator)
-    """Compiles a function for calls from Python, or takes it from the cache, when it is first called.
-
-    Until then Numba is not imported, which takes half a second.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        update_wrapper(self, function)
-
-    @cached_property
-    def dispatcher(self) -> Any:
-        """What Numba makes of it."""
-        import numba
-
-        try:
-            return numba.njit(self._function, cache=True, **_OPTIONS)
-        except RuntimeError:  # There is no folder that the cache can be written to.
-            return numba.njit(self._function, **_OPTIONS)
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Calls it."""
-        return self.dispatcher(*arguments)
-
-
-def inlined(function: Callable[..., Any]) -> Any:
-    """Makes a function part of those compiled ones that call it.
-
-    Without being told so Numba passes all of a large tuple at each call, which takes longer than most functions do.
-    """
-    import numba
-
-    return numba.njit(function, inline="always", **_OPTIONS)
-
-
-def as_array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
-    """The tensor's own memory; a copy of one of another type or layout, for which Numba would compile anew."""
-    return (tensor if tensor.dtype is dtype else tensor.to(dtype)).contiguous().numpy()
-
+from carrl.sim.machine_code import compiled
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of every parameter of a car, m, m/s, s or degrees; far off, so that none of their products overflows."""
