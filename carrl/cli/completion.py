@@ -22,7 +22,7 @@ _RANDOM = (
 _READING = ("--scale", "--width", "--walls", "--circuit", "--direction")
 FLAGS = {
     "train": overrides.FLAGS,
-    "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--storage"),
+    "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--config-dir", "--storage"),
     "evaluate": ("--track", "--starts", "--policy", "--checkpoint", "--trust", "--json"),
     "drive": ("--track", "--run", "--fps", "--trust"),
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
