@@ -168,11 +168,7 @@ def _importable_name(module: str) -> str:
 
 
 def _load(name: str, file: Path) -> None:
-    """Imports a module from this file, and no other one of its name.
-
-    Raises:
-        ConfigError: another one is imported already, or it cannot be imported.
-    """
+    """Imports a module from this file, and no other one of its name."""
     check_is_no_other(name, file)
     if name in sys.modules:
         return

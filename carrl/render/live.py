@@ -343,8 +343,7 @@ def _import_pygame() -> Any:
     try:
         with warnings.catch_warnings():
             # pygame 2.6 imports setuptools' pkg_resources where that exists, which then warns of its own end.
-            warnings.filterwarnings("ignore", "pkg_resources is deprecated")
-            warnings.filterwarnings("ignore", r"Deprecated call to `pkg_resources", DeprecationWarning)
+            warnings.filterwarnings("ignore", ".*pkg_resources")
             import pygame
     except ImportError as error:
         raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
