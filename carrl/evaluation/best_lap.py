@@ -81,7 +81,7 @@ def _steers(world: World) -> Tensor:
     raise ConfigError("the best lap is searched for among full left, straight on and full right at a constant speed")
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Front(Rows):
     """Drives of the same number of steps.
 

@@ -114,7 +114,7 @@ class TrackEvaluator:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Moment(Rows):
     """What is kept of each moment of a rollout, [B, ...]; of several moments [T, B, ...]."""
 

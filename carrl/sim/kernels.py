@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from carrl.sim.collision_geometry import CollisionGeometry
-from carrl.sim.machine_code import apart, as_array, compiled, inlined
+from carrl.sim.machine_code import apart, as_array, compiled, dispatched, inlined
 from carrl.sim.vehicle import VehicleModel
 
 # Written out, since Numba's cache sees only changes to this file.
@@ -84,6 +84,8 @@ class Kernels:
             most_gates=most_gates,
         )
         self._vehicle, self._constants = vehicle, np.array(vehicle.constants, dtype=np.float64)
+        self._move = dispatched(vehicle.kernel) if vehicle.kernel else self._move_in_torch
+        self._follow = _follow.dispatcher
         no_count = torch.zeros(0, dtype=torch.int64)
         no_state, no_control = (torch.zeros(0, len(names)) for names in (vehicle.state_names, vehicle.control_names))
         self.step(no_state, no_control, no_count, no_count, no_count)
@@ -103,18 +105,16 @@ class Kernels:
             The state [B, S], next gate [B] and gates passed since the start [B]; then, of this step, the ranges
             [B, R], the collisions [B] and the gates passed [B].
         """
-        before = as_array(state, torch.float32)
-        after = self._move(before, control)
-        counts = [as_array(count, torch.int64) for count in (next_gate, gates_passed, track)]
-        return tuple(map(torch.from_numpy, (after, *_follow(self._world, before, after, *counts))))
-
-    def _move(self, state: np.ndarray, control: Tensor) -> np.ndarray:
-        """The vehicle's own step, in machine code if it has any."""
         if len(control) != len(state):
             raise ValueError("state and control must be of the same number of cars")
-        if self._vehicle.kernel is None:
-            return as_array(self._vehicle.step(torch.from_numpy(state), control), torch.float32)
-        return self._vehicle.kernel(state, as_array(control, torch.float32), self._constants)
+        before = as_array(state, torch.float32)
+        after = self._move(before, as_array(control, torch.float32), self._constants)
+        counts = [as_array(count, torch.int64) for count in (next_gate, gates_passed, track)]
+        return tuple(map(torch.from_numpy, (after, *self._follow(self._world, before, after, *counts))))
+
+    def _move_in_torch(self, state: np.ndarray, control: np.ndarray, _: np.ndarray) -> np.ndarray:
+        """The step of a vehicle without machine code."""
+        return as_array(self._vehicle.step(torch.from_numpy(state), torch.from_numpy(control)), torch.float32)
 
 
 def _fan(angles: Tensor) -> np.ndarray:

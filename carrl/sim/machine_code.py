@@ -43,6 +43,11 @@ class compiled:  # noqa: N801 (a decorator)
         return self.dispatcher(*arguments)
 
 
+def dispatched(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, compiled or not, without what the decorator adds to each call."""
+    return function.dispatcher if isinstance(function, compiled) else function
+
+
 def inlined(function: Callable[..., Any]) -> Any:
     """Makes a function part of those compiled ones that call it.
 

@@ -29,7 +29,7 @@ _START_CLEARANCE = 1.5
 """How many radii or half widths of its body a car that starts beside the centreline keeps from the wall at least."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class CarState(Rows):
     """All that the simulator knows of the cars.
 
@@ -57,7 +57,7 @@ class CarState(Rows):
         return CarState(state, zeros, zeros.clone(), zeros.clone())
 
 
-@dataclass(frozen=True)
+@dataclass
 class Outcome(Rows):
     """What one step brought.
 
@@ -191,10 +191,10 @@ class Simulator:
             control: named by the vehicle's `control_names`, [B, C], float32.
         """
         if self._kernels:
-            state, next_gate, gates_passed, *of_step = self._kernels.step(
+            state, next_gate, gates_passed, ranges, collided, passed = self._kernels.step(
                 cars.state, control, cars.next_gate, cars.gates_passed, cars.track
             )
-            return Outcome(CarState(state, next_gate, gates_passed, cars.track), *of_step)
+            return Outcome(CarState(state, next_gate, gates_passed, cars.track), ranges, collided, passed)
         state = self.vehicle.step(cars.state, control)
         begin, end = cars.state[:, :2].double(), state[:, :2].double()
         walls = self._walls_near(replace(cars, state=state))

@@ -107,7 +107,7 @@ def _draw_within(most: float, streams: RandomStreams, wanted: Tensor) -> Tensor 
     return most * (2 * streams.uniform(wanted=wanted)[wanted] - 1) if most else None
 
 
-@dataclass(frozen=True)
+@dataclass
 class EpisodeState(Rows):
     """All that moves in an episode.
 
@@ -122,7 +122,7 @@ class EpisodeState(Rows):
     last_action: Tensor
 
 
-@dataclass(frozen=True)
+@dataclass
 class ObservationContext:
     """What an observation is made of.
 
@@ -143,7 +143,7 @@ class ObservationContext:
     wanted: Tensor | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class StepContext:
     """What a reward is made of.
 

@@ -41,7 +41,7 @@ SENSOR_SEED = 0
 """Of what a noisy sensor reads in an evaluation, so that the same policy drives the same way again."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class EpisodeStart(Rows):
     """Episodes at their start.
 
@@ -54,7 +54,7 @@ class EpisodeStart(Rows):
     observation: Tensor
 
 
-@dataclass(frozen=True)
+@dataclass
 class StepResult(Rows):
     """What one step brought.
 
