@@ -22,7 +22,12 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.tracks.track.Track.random",
         "carrl.tracks.circuits.make_circuits",
     ),
-    "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle", "carrl.sim.kinematic.Kinematic"),
+    "vehicle": (
+        "carrl.sim.vehicle.Vehicle",
+        "carrl.sim.vehicle.Bicycle",
+        "carrl.sim.kinematic.Kinematic",
+        "carrl.sim.single_track.SingleTrack",
+    ),
     "sensor": ("carrl.sim.sensor.Sensor",),
     "action": ("carrl.task.action.DiscreteActions",),
     "observation": ("carrl.task.observation.Rays", "carrl.task.observation.LastAction"),
