@@ -22,7 +22,12 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.tracks.track.Track.random",
         "carrl.tracks.circuits.make_circuits",
     ),
-    "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
+    "vehicle": (
+        "carrl.sim.vehicle.Vehicle",
+        "carrl.sim.vehicle.Bicycle",
+        "carrl.sim.kinematic.Kinematic",
+        "carrl.sim.single_track.SingleTrack",
+    ),
     "sensor": ("carrl.sim.sensor.Sensor",),
     "action": tuple(f"carrl.task.action.{name}" for name in ("DiscreteActions", "make_table", "ContinuousActions")),
     "observation": (
