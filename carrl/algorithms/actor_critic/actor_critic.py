@@ -36,13 +36,11 @@ class ActorCriticAlgorithm(Algorithm):
         control_names: what the numbers of an action are called.
     """
 
-    def __init__(
-        self, replicates: Sequence[Replicate], exploration: ActionNoise, control_names: Sequence[str]
-    ) -> None:
+    def __init__(self, replicates: Sequence[Replicate], exploration: ActionNoise, control_names: Sequence[str]) -> None:
         self.rule, self.replicates, self.exploration = replicates[0].rule, list(replicates), exploration
         self.seeds = [replicate.seed for replicate in replicates]
         self.networks = [replicate.actor for replicate in replicates]
-        actors = GreedyActors(self.networks)
+        actors = GreedyActors([replicate.actor for replicate in replicates])
         self.collect_policy, self.greedy_policy = ActorPolicy(actors, exploration), actors.actions
         names = tuple(control_names)
         self.log_columns = (
@@ -135,7 +133,7 @@ class ActorCriticAlgorithm(Algorithm):
         is the mean difference between the two in a control.
         """
         everyone = transitions["observation"].repeat(len(self.replicates), 1)
-        found = []
+        found: list[Figures] = []
         for index, greedy in enumerate(self.greedy_policy(everyone).chunk(len(self.replicates))):
             measured = self._measure(index, transitions)
             found.append(
@@ -247,7 +245,8 @@ class ActorCriticRecipe:
         )
         target_updater = build_node("target_updater", config["target_updater"], loss=loss)
         optimizers = {
-            part: build_node("optimizer", config["optimizer"], params=rule.parameters(loss, part)) for part in rule.rates
+            part: build_node("optimizer", config["optimizer"], params=rule.parameters(loss, part))
+            for part in rule.rates
         }
         for part, optimizer in optimizers.items():
             for group in optimizer.param_groups:

@@ -7,7 +7,6 @@ env steps by default before an Ornstein-Uhlenbeck process has its spread.
 Shapes: `A` replicates, `B` cars, of which each replicate drives the next B / A; `C` controls.
 """
 
-import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,6 +20,8 @@ from carrl.task.random_streams import restore, states_of
 
 OfControls = float | Sequence[float]
 """One number for all controls, or one for each."""
+MOST = 10.0
+"""Noise beyond this is none but full left or full right."""
 
 
 class ActionNoise(nn.Module):
@@ -119,7 +120,7 @@ class ScheduledNoise(ActionNoise):
         if env_steps_to_final < 1:
             raise ConfigError(f"exploration.env_steps_to_final is {env_steps_to_final}; it must be at least 1")
         self._final_share, self._env_steps_to_final = final_share, env_steps_to_final
-        self.register_buffer("sigma", self._of_controls("sigma", sigma, least=0.0), persistent=False)
+        self.register_buffer("sigma", self._of_controls("sigma", sigma, 0.0, MOST), persistent=False)
 
     @property
     def share(self) -> float:
@@ -131,13 +132,13 @@ class ScheduledNoise(ActionNoise):
         """Its standard deviation, the mean of all controls'."""
         return {"sigma": self.share * self.sigma.mean().item()}
 
-    def _of_controls(self, name: str, given: OfControls, least: float = -math.inf, most: float = math.inf) -> Tensor:
+    def _of_controls(self, name: str, given: OfControls, least: float, most: float) -> Tensor:
         """A number for each control, [C]."""
         numbers = list(given) if isinstance(given, Sequence) else [given] * self._controls
         if len(numbers) != self._controls or not all(least <= number <= most for number in numbers):
-            bounds = "" if least == -math.inf else f" of at least {least:g}" + ("" if most == math.inf else f" and at most {most:g}")
             raise ConfigError(
-                f"exploration.{name} is {given}; it must be a number{bounds}, or one for each of {self._controls} controls"
+                f"exploration.{name} is {given}; it must be a number from {least:g} to {most:g}, or a list of one for "
+                f"each of the {self._controls} controls"
             )
         return torch.tensor(numbers, dtype=torch.float32)
 
@@ -146,6 +147,16 @@ class GaussianNoise(ScheduledNoise):
     """Normal noise, another one in each step.
 
     Source: Fujimoto et al. 2018, "Addressing Function Approximation Error in Actor-Critic Methods", section 5.2.
+
+    Args:
+        sigma: its standard deviation at first, one for all controls or, in a list, one for each.
+        final_share: of it that is left at the end.
+        env_steps_to_final: how long it falls in a straight line, env steps.
+        action_spec: of one car.
+        generators: one for each replicate.
+
+    Raises:
+        ConfigError: as `ScheduledNoise`.
     """
 
     def forward(self, action: Tensor, is_first: Tensor) -> Tensor:
@@ -190,7 +201,7 @@ class OrnsteinUhlenbeckNoise(ScheduledNoise):
     ) -> None:
         super().__init__(sigma, final_share, env_steps_to_final, action_spec=action_spec, generators=generators)
         self.register_buffer("theta", self._of_controls("theta", theta, 0.0, 1.0), persistent=False)
-        self.register_buffer("mean", self._of_controls("mean", mean), persistent=False)
+        self.register_buffer("mean", self._of_controls("mean", mean, -MOST, MOST), persistent=False)
         self._noise: Tensor | None = None
 
     def forward(self, action: Tensor, is_first: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ Shapes: `N` transitions, `C` controls.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -235,7 +235,7 @@ class SAC(ActorCriticLoss):
 
 def values(loss: LossModule, critic_name: str, observation: Tensor, action: Tensor) -> Tensor:
     """What the least hopeful critic of a loss expects of actions [N, C], [N]."""
-    network, parameters = loss._modules[critic_name], loss._modules[f"{critic_name}_params"]
+    network, parameters = getattr(loss, critic_name), getattr(loss, f"{critic_name}_params")
     found = []
     with torch.no_grad():
         for own in parameters.unbind(0) if parameters.batch_dims else [parameters]:
@@ -266,5 +266,3 @@ def _valuing(critic: Critic) -> TensorDictModule:
 def _check_rate(name: str, value: float) -> None:
     if not 0 < value < math.inf:
         raise ConfigError(f"loss.{name} is {value}; it must be a positive number")
-
-

@@ -70,9 +70,7 @@ class Replicate:
         with GivenNoise(noise):
             return self.rule.losses(self.loss, transitions, with_actor)
 
-    def update(
-        self, transitions: TensorDictBase, noise: Sequence[Tensor], with_actor: bool
-    ) -> tuple[Tensor, Tensor]:
+    def update(self, transitions: TensorDictBase, noise: Sequence[Tensor], with_actor: bool) -> tuple[Tensor, Tensor]:
         """Calls TorchRL's loss and torch's optimizers as they are; the critics' loss [] and squared TD errors [N]."""
         found = self.losses(transitions, noise, with_actor)
         moving = [self.optimizers[part] for part in found.of_parts]

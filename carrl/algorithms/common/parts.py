@@ -21,6 +21,4 @@ def check_parts(config: Mapping[str, Any], remedies: Mapping[str, str], *, actor
         target = str(config[name].get("_target_", ""))
         if target.startswith(_ALGORITHMS) and target.startswith(_ACTOR_CRITIC) != actor_critic:
             kind = "DDPG, TD3 or SAC" if actor_critic else "DQN and its descendants"
-            raise ConfigError(
-                f"{name} is {target.rpartition('.')[2]}, which is no part of {kind}; set {remedy}"
-            )
+            raise ConfigError(f"{name} is {target.rpartition('.')[2]}, which is no part of {kind}; set {remedy}")

@@ -11,7 +11,9 @@ from carrl.algorithms.algorithm import Tree
 
 
 @contextmanager
-def standing_in(loss: LossModule, networks: Mapping[str, Tree], numbers: Mapping[str, Tensor] | None = None) -> Iterator[None]:
+def standing_in(
+    loss: LossModule, networks: Mapping[str, Tree], numbers: Mapping[str, Tensor] | None = None
+) -> Iterator[None]:
     """Lets the loss compute with these tensors; `torch.func.functional_call` on a LossModule raises in torchrl 0.14.
 
     Args:

@@ -29,6 +29,7 @@ from carrl.log.schema import Column
 from carrl.task.random_streams import part_generator
 from carrl.task.task import World
 
+
 @dataclass(frozen=True)
 class Replicate:
     """One seed's network, its loss with the target network in it, and what moves them."""
@@ -318,8 +319,8 @@ class DQNRecipe:
         spec = world.action.spec
         if not isinstance(spec, Categorical):
             raise ConfigError(
-                "DQN has a value for each action, and these are numbers; set action=steer3 or another choice among some, "
-                "or loss=sac"
+                "DQN has a value for each action, and action is made of numbers; set an action of discrete choices, "
+                "such as steer3, or loss=sac"
             )
         network: QNetwork = build_node(
             "network",
