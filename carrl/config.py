@@ -22,11 +22,26 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.tracks.track.Track.random",
         "carrl.tracks.circuits.make_circuits",
     ),
-    "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
+    "vehicle": (
+        "carrl.sim.vehicle.Vehicle",
+        "carrl.sim.vehicle.Bicycle",
+        "carrl.sim.kinematic.Kinematic",
+        "carrl.sim.single_track.SingleTrack",
+    ),
     "sensor": ("carrl.sim.sensor.Sensor",),
-    "action": ("carrl.task.action.DiscreteActions", "carrl.task.action.ContinuousActions"),
-    "observation": ("carrl.task.observation.Rays", "carrl.task.observation.LastAction"),
-    "reward": tuple(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
+    "action": tuple(f"carrl.task.action.{name}" for name in ("DiscreteActions", "make_table", "ContinuousActions")),
+    "observation": (
+        *(f"carrl.task.observation.{name}" for name in ("Rays", "Scans", "LastAction")),
+        *(f"carrl.task.motion.{name}" for name in ("StateEntry", "Velocity", "LastControl", "WallContact")),
+        *(f"carrl.task.road.{name}" for name in ("HeadingError", "TrackPosition", "Curvatures")),
+    ),
+    "reward": (
+        *(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
+        *(f"carrl.task.racing.{name}" for name in ("Progress", "Contact", "SpeedAlong", "Time")),
+    ),
+    "end": tuple(
+        f"carrl.task.end.{name}" for name in ("EndAtContact", "SlideAlongWall", "NoProgress", "RunningBackwards")
+    ),
     "start": ("carrl.task.episode.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
     "algorithm": (

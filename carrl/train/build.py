@@ -17,10 +17,14 @@ from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.source import Logged, Simulated, Source
 from carrl.env.track_env import TrackEnv
 from carrl.errors import CheckpointError, ConfigError, shown
+from carrl.sim.vehicle import VehicleModel
+from carrl.task.action import fitted
+from carrl.task.end import End
 from carrl.task.observation import Observation
 from carrl.task.random_streams import part_generator, part_seed
 from carrl.task.reward import Reward
 from carrl.task.task import World
+from carrl.task.trial import try_terms
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 from carrl.train.checkpoint import load_checkpoint
@@ -166,10 +170,11 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         observation=world.observation,
         reward=world.reward,
         start=build_node("start", config["start"]),
+        end=End(build_terms("end", config["end"])) if "end" in config else None,  # runs of before had no choice
         device=device,
         seed=[part_seed(seed, "env") for seed in seeds],
     )
-    env.task.try_terms()
+    try_terms(env.task)
     return env
 
 
@@ -197,11 +202,12 @@ def logs_of(config: Config) -> list[Path]:
 def build_world(config: Config) -> World:
     """Builds the track, car, sensors, observation and reward that a run was, or will be, trained with."""
     track: Track | Circuits = build_node("track", config["track"])
+    vehicle: VehicleModel = build_node("vehicle", config["vehicle"])
     return World(
         circuits=track if isinstance(track, Circuits) else Circuits.only(track),
-        vehicle=build_node("vehicle", config["vehicle"]),
+        vehicle=vehicle,
         sensor=build_node("sensor", config["sensor"]),
-        action=build_node("action", config["action"]),
+        action=fitted(build_node("action", config["action"]), vehicle),
         observation=Observation(build_terms("observation", config["observation"])),
         reward=Reward(build_terms("reward", config["reward"])),
     )
