@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode import EpisodeScene, connected_walls, steps_of
+from carrl.render.episode import EpisodeScene, connected_walls
+from carrl.render.trail import steps_of
 
 PARTS = Path(__file__).parent
 SCRIPTS = (
