@@ -102,7 +102,7 @@ def placed(shape: Floats, pose: Floats) -> Floats:
 
 
 def ray_ends(pose: Floats, ranges: Floats, sensor_angles: Floats, mount: tuple[float, float] = (0.0, 0.0)) -> Floats:
-    """Where rays with these ranges [..., R] end: [..., R, 2], m; the poses [..., 3] and mount are as in `ray_origins`."""
+    """Where rays with these ranges [..., R] end: [..., R, 2], m; poses [..., 3] and mount are as in `ray_origins`."""
     angles = pose[..., 2:] + sensor_angles
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return np.asarray(ray_origins(pose, mount)[..., None, :] + ranges[..., None] * directions)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.log.trace import ray_origins
+from carrl.log.trace import LEAST_SPREAD, ray_origins
 from carrl.render.canvas import Canvas, Floats, Stroke, View, text_width
 from carrl.render.car import draw_car, draw_rays, ray_ends
 from carrl.render.colours import BLACK, INK, LIGHT, PAPER
@@ -57,23 +57,24 @@ def draw_lap(
         poses: x, y, heading in which each action was chosen, [T, 3], m, m, rad; or [T + 1, 3] with the last pose.
         ranges: distance to the wall along each ray at those poses, [T, R], m.
         sensor_angles: directions of the rays, [R], rad counter-clockwise from the heading.
-        actions: indices into the names, [T]; not looked at where there are speeds.
+        actions: indices into the names, [T]; anything of T rows where there are none.
         action_names: what each action is called; none where actions are numbers.
         body_radius: radius of the car's disc, m.
         sensor_range: what a ray reads that meets no wall, m.
         title: one line above the map.
         collided: whether the drive ended at a wall; its end is then a cross instead of a ring.
-        speeds: at each pose, m/s; None of a car whose speed does not vary, whose line has the colours of its actions.
+        speeds: at each pose, m/s, or none; where they do not vary the line has the colours of the actions.
         body_size: length and width of a car that is a rectangle, m.
         sensor_mount: where the rays begin, from the middle of the car, ahead and to the left, m.
     """
     track_map = TrackMap(track, title)
     steps = _steps_shown(poses[: len(ranges), :2], track_map.view.scale)
+    speeds = speeds if speeds is not None and np.ptp(speeds) >= LEAST_SPREAD else None
     if speeds is not None:
         colours, actions = LIGHT.speed_shades, speed_shades_of(speeds, *speed_span(speeds))
     else:
         colours = LIGHT.action_colours(max(1, len(action_names)))
-        actions = actions if len(action_names) else np.zeros(len(actions), dtype=np.int64)
+        actions = actions if action_names else np.zeros(len(actions), dtype=np.int64)
     lap = _Lap(poses, ranges, sensor_angles, actions, colours, steps, collided, speeds, body_size, sensor_mount)
     close_up = track_map.close_up(poses[steps, :2])
 
