@@ -162,7 +162,15 @@ class EpisodeScene:
     @property
     def series(self) -> list[Series]:
         """What the log has of numbers, the reward with its terms and its sum, and what the rays read."""
-        return [*self._controls(), *self.columns, self._reward(), *self._ranges()]
+        return [*self.controls, *self.columns, self._reward(), *self._ranges()]
+
+    @property
+    def controls(self) -> list[Series]:
+        """What was done with the car, where that is numbers."""
+        controls, names = self.trace.controls, self.trace.scene.control_names
+        if controls is None:
+            return []
+        return [Series("action", "controls, -1 to 1", names, controls, _colours(len(names)))]
 
     @cached_property
     def columns(self) -> list[Series]:
@@ -236,13 +244,6 @@ class EpisodeScene:
         return Series(
             "reward", "reward, its terms, and the return so far", ("return so far", "reward", *terms), values, colours
         )
-
-    def _controls(self) -> list[Series]:
-        """What was done with the car, where that is numbers."""
-        controls, names = self.trace.controls, self.trace.scene.control_names
-        if controls is None:
-            return []
-        return [Series("action", "controls, -1 to 1", names, controls, _colours(len(names)))]
 
     def _ranges(self) -> list[Series]:
         """What the rays read, m, coloured from blue on the right over green to red on the left."""

@@ -1,9 +1,9 @@
 """What runs are compared by, and the statistics of few runs: means, intervals and probabilities of improvement.
 
-Smoothness and speed are those of the best greedy rollout and count only where that completes the lap: a car that crashes
-before
-the first corner has not changed its action once. A run without a first lap, or whose first lap is not confirmed, has it
-after all others'. Returns and rewards are on the same scale only where the track and what is paid for are the same.
+Smoothness and speed are those of the best greedy rollout and count only where that completes the lap: a car that
+crashes before the first corner has not changed its action once. A run without a first lap, or whose first lap is not
+confirmed, has it after all others'. Returns and rewards are on the same scale only where the track and what is paid for
+are the same.
 
 Source: R. Agarwal et al. (2021), Deep Reinforcement Learning at the Edge of the Statistical Precipice, and their
 library, rliable: the interquartile mean (25 % trimmed from each side), percentile intervals of a stratified bootstrap,
