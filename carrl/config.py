@@ -22,7 +22,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "carrl.tracks.track.Track.random",
         "carrl.tracks.circuits.make_circuits",
     ),
-    "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle"),
+    "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle", "carrl.sim.kinematic.Kinematic"),
     "sensor": ("carrl.sim.sensor.Sensor",),
     "action": ("carrl.task.action.DiscreteActions",),
     "observation": ("carrl.task.observation.Rays", "carrl.task.observation.LastAction"),

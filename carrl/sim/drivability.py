@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from carrl.sim.driven import DrivenCar
 from carrl.sim.sensor import Sensor
 from carrl.tracks.inspection import road_widths
 
@@ -29,7 +30,7 @@ class Car:
 
     Attributes:
         turn_radius: of the circle that it drives when it turns all the time, m.
-        step_length: distance driven between two decisions, m.
+        step_length: distance driven between two decisions, m; 0 of a car that brakes as far as it has to.
         body_radius: of its body, or half its width, m.
         near_wall: a wall this near to the middle of the car, square to the road, counts as near, m.
     """
@@ -45,7 +46,7 @@ class Car:
         sideways = float(sensor.angles.clamp(-math.pi / 2, math.pi / 2).sin().abs().max())
         return Car(
             turn_radius=_turn_radius(vehicle),
-            step_length=vehicle.step_length,
+            step_length=0.0 if isinstance(vehicle, DrivenCar) else vehicle.step_length,
             body_radius=vehicle.body.half_width,
             near_wall=sideways * proximity_threshold * sensor.max_range,
         )
@@ -59,6 +60,8 @@ class Car:
 
 def _turn_radius(vehicle: "VehicleModel") -> float:
     """Of the circle through the ends of one step with the wheel turned fully, m; 0 where nothing is known of it."""
+    if isinstance(vehicle, DrivenCar):
+        return vehicle.turn_radius
     if "steer" not in vehicle.control_names:
         return 0.0
     control = torch.tensor([[float(name == "steer") for name in vehicle.control_names]])

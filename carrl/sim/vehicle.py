@@ -10,7 +10,7 @@ from +x.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -107,7 +107,11 @@ class VehicleModel(ABC):
 
     def __post_init__(self) -> None:
         """Raises ConfigError unless every value is a positive number, neither tiny nor huge."""
-        for name, value in vars(self).items():
+        self._check_positive(vars(self))
+
+    def _check_positive(self, names: Iterable[str]) -> None:
+        for name in names:
+            value = getattr(self, name)
             if isinstance(value, bool) or not (isinstance(value, int | float) and 0 < value < math.inf):
                 raise ConfigError(f"vehicle.{name} is {value}; it must be a positive number")
             if not LEAST <= value <= MOST:
