@@ -24,7 +24,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     ),
     "vehicle": ("carrl.sim.vehicle.Vehicle", "carrl.sim.vehicle.Bicycle", "carrl.sim.kinematic.Kinematic"),
     "sensor": ("carrl.sim.sensor.Sensor",),
-    "action": ("carrl.task.action.DiscreteActions",),
+    "action": tuple(f"carrl.task.action.{name}" for name in ("DiscreteActions", "make_table", "ContinuousActions")),
     "observation": ("carrl.task.observation.Rays", "carrl.task.observation.LastAction"),
     "reward": tuple(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
     "start": ("carrl.task.episode.Start",),

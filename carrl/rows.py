@@ -18,6 +18,8 @@ def scalar(value: float) -> Tensor:
 class Rows:
     """A dataclass of tensors [N, ...], or of other `Rows`: one row for each car, in all of its fields alike.
 
+    A field that a task does without is None, in all rows alike.
+
     Nobody writes to one that was made. It is not frozen, since that takes four times as long to make in each step, nor
     TensorDict's tensorclass, which takes some ten microseconds for each operation.
     """
@@ -25,9 +27,7 @@ class Rows:
     def map(self, function: Callable[..., Tensor], *others: Self) -> Self:
         """The function's value of every field of these rows and the others."""
         fields = zip(*(vars(each).values() for each in (self, *others)), strict=True)
-        return type(self)(
-            *(own[0].map(function, *own[1:]) if isinstance(own[0], Rows) else function(*own) for own in fields)
-        )
+        return type(self)(*(_mapped(function, own) for own in fields))
 
     def __getitem__(self, index: Any) -> Self:
         """The rows at these indices, or where this mask holds."""
@@ -45,3 +45,9 @@ class Rows:
         """The rows of T moments as [T, N, ...]."""
         first, *others = moments
         return first.map(lambda *values: torch.stack(values), *others)
+
+
+def _mapped(function: Callable[..., Tensor], values: tuple[Any, ...]) -> Any:
+    if isinstance(values[0], Rows):
+        return values[0].map(function, *values[1:])
+    return None if values[0] is None else function(*values)

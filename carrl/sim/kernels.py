@@ -33,6 +33,7 @@ class World(NamedTuple):
     Attributes:
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
         rays: how many of them count.
+        mount: how far ahead of the car's middle they start, m.
         max_range: of the rays, m.
         body_radius: of the disc that must not touch a wall, m; 0 for a rectangle.
         half_length, half_width: of the rectangle that must not, m; 0 for a disc.
@@ -50,6 +51,7 @@ class World(NamedTuple):
     entries: np.ndarray
     fan: np.ndarray
     rays: int
+    mount: float
     max_range: float
     body_radius: float
     half_length: float
@@ -66,10 +68,17 @@ class Kernels:
         max_range: of the rays, m.
         vehicle: the car.
         most_gates: how many gates one step can cross at the most.
+        mount: how far ahead of the car's middle the rays start, m.
     """
 
     def __init__(
-        self, geometry: CollisionGeometry, ray_angles: Tensor, max_range: float, vehicle: VehicleModel, most_gates: int
+        self,
+        geometry: CollisionGeometry,
+        ray_angles: Tensor,
+        max_range: float,
+        vehicle: VehicleModel,
+        most_gates: int,
+        mount: float = 0.0,
     ) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
         radius, half_length, half_width = vehicle.body.measures
@@ -77,6 +86,7 @@ class Kernels:
             **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in geometry._asdict().items()},
             fan=_fan(ray_angles),
             rays=len(ray_angles),
+            mount=mount,
             max_range=float(max_range),
             body_radius=radius,
             half_length=half_length,
@@ -312,6 +322,7 @@ def _cast(
     Two walls at a time, since the processor waits for what the last ones wrote.
     """
     cos, sin = math.cos(heading), math.sin(heading)
+    x, y = x + world.mount * cos, y + world.mount * sin
     walls, entries, fan_x, fan_y = world.walls, world.entries, world.fan[0], world.fan[1]
     ray_x, ray_y, nearness = work[0], work[1], work[2]
     for ray in range(len(nearness)):

@@ -1,4 +1,4 @@
-"""The distance sensors: rays that fan out from the middle of the car.
+"""The distance sensors: rays that fan out from the middle of the car, or from a place ahead of it.
 
 Shapes: `B` cars, `R` rays.
 """
@@ -28,6 +28,7 @@ class Sensor:
         max_range: distance at which a ray ends and reads 1, m.
         noise: standard deviation of the normal error of a distance, m.
         dropout: probability that a ray comes back from nothing and reads 1.
+        mount: how far ahead of the car's middle the rays start, m.
     """
 
     rays: int = 7
@@ -35,6 +36,7 @@ class Sensor:
     max_range: float = 10.0
     noise: float = 0.0
     dropout: float = 0.0
+    mount: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a fan that cannot be built."""
@@ -48,6 +50,8 @@ class Sensor:
             raise ConfigError(f"sensor.noise is {self.noise}; it must be a number of metres of at least 0")
         if not (_is_number(self.dropout) and 0 <= self.dropout <= 1):
             raise ConfigError(f"sensor.dropout is {self.dropout}; it must lie between 0 and 1")
+        if not _is_number(self.mount):
+            raise ConfigError(f"sensor.mount is {self.mount}; it must be a number of metres")
 
     @property
     def angles(self) -> Tensor:

@@ -6,6 +6,7 @@ Shapes: `B` cars, `R` rays, `T` tracks, `G` gates. Lengths are in metres, angles
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.collision_geometry import CollisionGeometry, TrackLayout
 from carrl.sim.geometry import cross, path_clearance, ray_distances, rectangle_touches
+from carrl.sim.places import Place, Places
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import Disc, VehicleModel
 from carrl.tracks.centreline import Routes
@@ -38,12 +40,14 @@ class CarState(Rows):
         next_gate: index of the one gate of the car's track that counts next, [B], int64.
         gates_passed: since the start, [B], int64.
         track: index of the track that the car drives on, [B], int64.
+        station: of the car's projection on the centreline, [B], float32, m; None where no term of a task needs it.
     """
 
     state: Tensor
     next_gate: Tensor
     gates_passed: Tensor
     track: Tensor
+    station: Tensor | None = None
 
     @property
     def pose(self) -> Tensor:
@@ -65,13 +69,36 @@ class Outcome(Rows):
         cars: after the step.
         ranges: distance to the wall along each ray, [B, R], float32, m, in [0, max_range].
         collided: the body touched a wall on the way, [B], bool.
-        gates_passed: in this step, [B], int64; 0 where it collided.
+        gates_passed: in this step, [B], int64; 0 where it collided, unless cars slide along walls.
+        place: where on the road the cars are after the step; None where no term of a task needs it.
     """
 
     cars: CarState
     ranges: Tensor
     collided: Tensor
     gates_passed: Tensor
+    place: Place | None = None
+
+    @property
+    def progress(self) -> Tensor:
+        """Way along the centreline in this step, [B], float32, m; less than 0 backwards."""
+        return self._on_the_road.progress
+
+    @property
+    def offset(self) -> Tensor:
+        """From the centreline, [B], float32, m, left positive."""
+        return self._on_the_road.offset
+
+    @property
+    def heading_error(self) -> Tensor:
+        """The heading against the centreline's direction, [B], float32, rad, in [-pi, pi)."""
+        return self._on_the_road.heading_error
+
+    @property
+    def _on_the_road(self) -> Place:
+        if self.place is None:
+            raise ConfigError('a term wants to know where on the road a car is; its class must say `needs = ("place",)`')
+        return self.place
 
 
 class Simulator:
@@ -85,12 +112,14 @@ class Simulator:
         vehicle: how they move.
         sensor: what they see.
         device: where the tensors live.
+        slide: share of its speed along the wall that a car keeps which touches one, in each step of contact, and goes
+            on along the wall; None where contact ends the episode.
         compiled: run the machine code of `carrl.sim.kernels` on the CPU, many times faster. Other devices, and False,
             run the torch code below; the two agree to float32's rounding.
 
     Raises:
         TrackError: the roads at a bridge cannot be told apart.
-        ConfigError: there is no track.
+        ConfigError: there is no track, or the rays start outside of the car.
     """
 
     def __init__(
@@ -100,14 +129,20 @@ class Simulator:
         sensor: Sensor,
         device: torch.device | str = "cpu",
         compiled: bool = True,
+        slide: float | None = None,
     ) -> None:
         """Places walls, gates and rays on the device, and compiles where that was not done before."""
         self.tracks = (track,) if isinstance(track, Track) else tuple(track)
         if not self.tracks:
             raise ConfigError("there is no track to drive on; name at least one")
-        self.vehicle, self.sensor = vehicle, sensor
+        self.vehicle, self.sensor, self._slide = vehicle, sensor, slide
+        if abs(sensor.mount) > vehicle.body.reach:
+            raise ConfigError(
+                f"sensor.mount is {sensor.mount}; it must be within the car, at most {vehicle.body.reach:g} m from its "
+                "middle"
+            )
         touch = vehicle.step_length + vehicle.body.reach
-        reach = max(sensor.max_range, touch)
+        reach = max(sensor.max_range + abs(sensor.mount), touch)
         geometry = CollisionGeometry.join([TrackLayout.of_track(each, reach) for each in self.tracks], reach, touch)
         self.geometry = CollisionGeometry(*(tensor.to(device) for tensor in geometry))
         self.routes = Routes([each.road for each in self.tracks], [each.gate_count for each in self.tracks])
@@ -134,6 +169,12 @@ class Simulator:
         """The first track: the only one, if there is one."""
         return self.tracks[0]
 
+    @cached_property
+    def places(self) -> Places:
+        """Finds cars on the roads."""
+        roads, gate_counts = [each.road for each in self.tracks], [each.gate_count for each in self.tracks]
+        return Places(roads, gate_counts, self.vehicle.step_length)
+
     @property
     def device(self) -> torch.device:
         """Where the tensors live."""
@@ -150,6 +191,7 @@ class Simulator:
         track: Tensor | None = None,
         offset: Tensor | None = None,
         heading: Tensor | None = None,
+        speed: Tensor | None = None,
     ) -> CarState:
         """Cars on the road, by default on the centreline of the first track and in the driving direction.
 
@@ -158,6 +200,7 @@ class Simulator:
             track: index of each car's track, [B], int64.
             offset: from the centreline to the left, as a share of the room that the body has there, [B], in -1..1.
             heading: counter-clockwise from the driving direction, [B], rad.
+            speed: [B], m/s; None for cars at rest, and for those that have but one speed.
         """
         stations = stations.cpu()
         track = torch.zeros(len(stations), dtype=torch.int64) if track is None else track.cpu()
@@ -167,15 +210,17 @@ class Simulator:
         if heading is not None:
             pose[:, 2] += heading.cpu()
         next_gate = self.routes.next_gate(track, stations).to(self.device)
-        state = self.vehicle.initial_state(pose).to(self.device)
+        state = self.vehicle.initial_state(pose, speed).to(self.device)
         return CarState(state, next_gate, torch.zeros_like(next_gate), track.to(self.device))
 
     def sense(self, cars: CarState) -> Tensor:
         """Distances to the wall along each ray, [B, R], float32, m, in [0, max_range]."""
         if self._kernels:
             return self._kernels.sense(cars.state, cars.next_gate, cars.track)
-        angles = cars.state[:, 2:3].double() + self.sensor_angles.double()  # In float32 this alone can cost 0.1 mm.
-        return ray_distances(cars.state[:, :2], angles, self._walls_near(cars), self.sensor.max_range)
+        heading = cars.state[:, 2:3].double()
+        angles = heading + self.sensor_angles.double()  # In float32 this alone can cost 0.1 mm.
+        origins = cars.state[:, :2] + self.sensor.mount * torch.cat([heading.cos(), heading.sin()], dim=1)
+        return ray_distances(origins, angles, self._walls_near(cars), self.sensor.max_range).to(cars.state)
 
     def step(self, cars: CarState, control: Tensor) -> Outcome:
         """Moves every car by one time step.
@@ -184,12 +229,17 @@ class Simulator:
         jumped over at any speed.
         A gate counts when the middle of the car crosses it forward and it is the next one in order; nothing else
         counts, so going back and forth over a gate earns nothing, nor does driving the wrong way round. A car whose
-        pose is not finite has collided.
+        pose is not finite has collided. A car that slides along walls is never in one after a step.
 
         Args:
             cars: before the step.
             control: named by the vehicle's `control_names`, [B, C], float32.
         """
+        outcome = self._drive(cars, control)
+        return outcome if self._slide is None else self._slid(cars, outcome, self._slide)
+
+    def _drive(self, cars: CarState, control: Tensor) -> Outcome:
+        """The step of cars that end in a wall where they touch one."""
         if self._kernels:
             state, next_gate, gates_passed, ranges, collided, passed = self._kernels.step(
                 cars.state, control, cars.next_gate, cars.gates_passed, cars.track
@@ -209,6 +259,33 @@ class Simulator:
         next_gate = (cars.next_gate + passed) % self.gate_counts[cars.track]
         after = CarState(state, next_gate, cars.gates_passed + passed, cars.track)
         return Outcome(after, self.sense(after), collided, passed)
+
+    def _slid(self, cars: CarState, outcome: Outcome, kept: float) -> Outcome:
+        """The outcome with those cars outside of the walls that touched one."""
+        if not outcome.collided.any():
+            return outcome
+        from carrl.sim.contact import slide  # Here, since Numba takes half a second to import.
+
+        touched = outcome.collided
+        before, after = cars[touched], outcome.cars[touched]
+        pose, direction = slide(before.state, after.state, self._walls_near(after), self.vehicle.body)
+        state = self.vehicle.after_contact(after.state, pose, direction, kept)
+        passed = self._count_gates(before.pose[:, :2].double(), pose[:, :2].double(), before)
+        next_gate = (before.next_gate + passed) % self.gate_counts[before.track]
+        after = CarState(state, next_gate, before.gates_passed + passed, before.track)
+        there = touched.nonzero()[:, 0]
+        return Outcome(
+            outcome.cars.replacing(touched, after),
+            outcome.ranges.index_copy(0, there, self.sense(after)),
+            touched,
+            outcome.gates_passed.index_copy(0, there, passed),
+        )
+
+    def place(self, cars: CarState) -> Place:
+        """Where on the road the cars are, near their last stations; without those, on the way to their next gates."""
+        if cars.station is None:
+            return self.places.on_the_way(cars.state, cars.track, cars.next_gate)
+        return self.places.after(cars.state, cars.track, cars.station)
 
     def has_lapped(self, cars: CarState) -> Tensor:
         """Whether each car has passed all gates since its start: [B], bool."""
@@ -239,7 +316,8 @@ class Simulator:
         from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.
 
         most_gates = self._most_gates_per_step
-        return Kernels(self.geometry, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates)
+        mount = float(self.sensor.mount)
+        return Kernels(self.geometry, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates, mount)
 
     def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
         """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""

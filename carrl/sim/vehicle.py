@@ -137,9 +137,40 @@ class VehicleModel(ABC):
         """What the kernel needs to know of this car, [K]."""
         return ()
 
-    def initial_state(self, pose: Tensor) -> Tensor:
-        """The states [N, S] of cars that an episode starts at these poses [N, 3] with; zero beyond the pose."""
-        return torch.nn.functional.pad(pose, (0, len(self.state_names) - len(POSE)))
+    def initial_state(self, pose: Tensor, speed: Tensor | None = None) -> Tensor:
+        """The states [N, S] of cars that an episode starts with, zero beyond the pose and the speed.
+
+        Args:
+            pose: [N, 3].
+            speed: [N], m/s; None for cars at rest. Only a vehicle whose state has a `speed` can be asked for one.
+        """
+        state = torch.nn.functional.pad(pose, (0, len(self.state_names) - len(POSE)))
+        if speed is not None:
+            state[:, self.state_names.index("speed")] = speed.to(state)
+        return state
+
+    def after_contact(self, state: Tensor, pose: Tensor, direction: Tensor, kept: float) -> Tensor:
+        """The states [N, S] of cars that have touched a wall and go on along it.
+
+        Of the velocity remains the component along the wall, if it leads forward; the car neither slips nor turns.
+
+        Args:
+            state: after the step, as if there were no wall, [N, S].
+            pose: where the wall leaves the car, [N, 3].
+            direction: along the wall, the one that is nearer to the heading, [N], rad.
+            kept: share of the speed along the wall that is kept.
+        """
+        after = dict(zip(self.state_names, state.unbind(-1), strict=True))
+        still = torch.zeros_like(direction)
+        if "speed" in after:
+            speed, course = after["speed"], state[:, 2] + after.get("slip", still)
+            after["speed"] = kept * (speed * (course - direction).cos()).clamp(min=0)
+            if "acceleration" in after:
+                after["acceleration"] = after["acceleration"] + (after["speed"] - speed) / self.time_step
+        for name in ("slip", "yaw_rate", "lateral_acceleration"):
+            if name in after:
+                after[name] = still
+        return torch.cat([pose, torch.stack(list(after.values()), dim=-1)[:, len(POSE) :]], dim=-1)
 
     @abstractmethod
     def step(self, state: Tensor, control: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 Shapes: `N` cars, `C` controls, `A` discrete actions.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -112,10 +113,10 @@ class ContinuousActions:
     """Every control on its own, as a number within -1 and 1.
 
     Attributes:
-        control_names: of the vehicle's controls, C of them.
+        control_names: of the vehicle's controls, C of them; by default, as `fitted` finds out, all that it has.
     """
 
-    control_names: Sequence[str]
+    control_names: Sequence[str] = ()
 
     @property
     def names(self) -> Sequence[str]:
@@ -146,6 +147,39 @@ class ContinuousActions:
         return action
 
 
+def make_table(settings: Mapping[str, Sequence[float]]) -> DiscreteActions:
+    """Every combination of some settings of each control, the first of each first: such as `left_brake`.
+
+    Args:
+        settings: for each control of the vehicle the values that it can have, in [-1, 1].
+
+    Raises:
+        ConfigError: a control has no value, one that is out of its range, or one twice.
+    """
+    for control, values in settings.items():
+        if not values or len(set(values)) < len(values) or not all(_is_setting(value) for value in values):
+            raise ConfigError(
+                f"action.settings.{control} is {list(values)}; it must be numbers within -1 and 1, at least one, none "
+                "twice"
+            )
+    rows = list(itertools.product(*settings.values()))
+    names = ["_".join(map(_setting_name, settings, row)) for row in rows]
+    return DiscreteActions(names, {control: [row[place] for row in rows] for place, control in enumerate(settings)})
+
+
+_WORDS = {"steer": ("right", "straight", "left"), "pedal": ("brake", "coast", "drive")}
+"""What a control does below 0, at 0 and above."""
+
+
+def _setting_name(control: str, value: float) -> str:
+    """Such as left, or left_30 for three tenths of it."""
+    below, middle, above = _WORDS.get(control, (f"{control}_minus", f"{control}_0", control))
+    if value == 0:
+        return middle
+    share = abs(round(100 * value))
+    return (below if value < 0 else above) + ("" if share == 100 else f"_{share}")
+
+
 def steer3() -> DiscreteActions:
     """The paper's: straight on, full left, full right."""
     return DiscreteActions(("forward", "left", "right"), {"steer": (0.0, 1.0, -1.0)})
@@ -157,6 +191,18 @@ def in_words(actions: ActionMap) -> str:
         return f"a number within -1 and 1 for each of {', '.join(actions.control_names)}"
     *others, last = (f"{number} {name}" for number, name in enumerate(actions.names))
     return f"{', '.join(others)} or {last}" if others else last
+
+
+def fitted(action: ActionMap, vehicle: VehicleModel) -> ActionMap:
+    """The actions with all controls of the vehicle, if they name none.
+
+    Raises:
+        ConfigError: they do not set just those that the vehicle has.
+    """
+    if isinstance(action, ContinuousActions) and not action.control_names:
+        return ContinuousActions(vehicle.control_names)
+    check_fits(action, vehicle)
+    return action
 
 
 def check_fits(action: ActionMap, vehicle: VehicleModel) -> None:

@@ -15,11 +15,16 @@ from torch import Tensor
 
 from carrl.errors import ConfigError
 from carrl.rows import Rows
+from carrl.sim.places import Place
 from carrl.sim.simulator import CarState, Outcome, Simulator
+from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ActionMap
 from carrl.task.checks import flag, number
 from carrl.task.random_streams import RandomStreams
 from carrl.tracks.track import Track
+
+MOST_SPEED = 1000.0
+"""Of a car at its start, m/s."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,8 @@ class Start:
         sample_track: draw each car's track anew for each episode.
         mirrored: drive every other episode, by chance, on the mirror image of the track.
         reversed: drive every other episode, by chance, the other way round.
+        speed: of a vehicle whose speed varies, m/s.
+        speed_spread: by how much it may be more or less, m/s; at least 0 in any case.
     """
 
     anywhere: bool = False
@@ -41,11 +48,15 @@ class Start:
     sample_track: bool = False
     mirrored: bool = False
     reversed: bool = False
+    speed: float = 0.0
+    speed_spread: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a value out of its range."""
         number("start.offset", self.offset, 0, 1, "a share between 0 and 1")
         number("start.heading_jitter", self.heading_jitter, 0, 180, "between 0 and 180 degrees")
+        for name in ("speed", "speed_spread"):
+            number(f"start.{name}", getattr(self, name), 0, MOST_SPEED, f"between 0 and {MOST_SPEED:g} m/s")
         for name in ("anywhere", "sample_track", "mirrored", "reversed"):
             flag(f"start.{name}", getattr(self, name))
 
@@ -66,9 +77,18 @@ class StartSampler:
         simulator: whose tracks are `start.variants` of some tracks.
         cars: how many, N, of each of so many seeds.
         seeds: how many.
+
+    Raises:
+        ConfigError: a speed is asked for, and the vehicle has but one.
     """
 
     def __init__(self, start: Start, simulator: Simulator, cars: int, seeds: int) -> None:
+        if (start.speed or start.speed_spread) and "speed" not in simulator.vehicle.state_names:
+            name = "speed" if start.speed else "speed_spread"
+            raise ConfigError(
+                f"start.{name} is {getattr(start, name)}; the vehicle {type(simulator.vehicle).__name__} has no speed "
+                "in its state that an episode could start with, so it must be 0"
+            )
         self._start, self._simulator = start, simulator
         self._variants = (1 + start.mirrored) * (1 + start.reversed)
         self._bases = len(simulator.tracks) // self._variants
@@ -79,7 +99,7 @@ class StartSampler:
     def is_always_the_same(self) -> bool:
         """Whether every episode of a car starts in the same place."""
         start = self._start
-        by_chance = start.anywhere or start.offset or start.heading_jitter
+        by_chance = start.anywhere or start.offset or start.heading_jitter or start.speed_spread
         return not (by_chance or self._samples_track or self._variants > 1)
 
     def __call__(self, streams: RandomStreams, wanted: Tensor) -> CarState:
@@ -92,7 +112,17 @@ class StartSampler:
             track=track[wanted],
             offset=_draw_within(start.offset, streams, wanted),
             heading=_draw_within(math.radians(start.heading_jitter), streams, wanted),
+            speed=self._draw_speeds(streams, wanted),
         )
+
+    def _draw_speeds(self, streams: RandomStreams, wanted: Tensor) -> Tensor | None:
+        """Speeds at the start, [K], m/s; None for cars at rest."""
+        start = self._start
+        if not (start.speed or start.speed_spread):
+            return None
+        spread = _draw_within(start.speed_spread, streams, wanted)
+        speed = torch.full((int(wanted.sum()),), float(start.speed), dtype=torch.float64)
+        return speed if spread is None else (speed + spread).clamp(min=0)
 
     def _draw_tracks(self, streams: RandomStreams, wanted: Tensor) -> Tensor:
         """Which track each car drives on, [N]."""
@@ -115,11 +145,17 @@ class EpisodeState(Rows):
         cars: of the simulator.
         step: steps since the start, [N], int64.
         last_action: of the step before; `ActionMap.first` at the start, [N] or [N, C].
+        seen: the observation, [N, O], float32; None where no term looks back at it.
+        stalled: for how many steps the car has made no progress, [N], int64; None where that does not matter.
+        contact: the body touched a wall in the last step, [N], bool; None at the start.
     """
 
     cars: CarState
     step: Tensor
     last_action: Tensor
+    seen: Tensor | None = None
+    stalled: Tensor | None = None
+    contact: Tensor | None = None
 
 
 @dataclass
@@ -133,6 +169,8 @@ class ObservationContext:
         action: what the agent chooses among.
         streams: random numbers of all cars.
         wanted: which cars of the streams these N are, bool; None for all.
+        place: where on the road the cars are; None unless a term needs it.
+        seen: what the term that is asked told one step before, [N, width]; None at a start, or unless it needs that.
     """
 
     state: EpisodeState
@@ -141,6 +179,16 @@ class ObservationContext:
     action: ActionMap
     streams: RandomStreams
     wanted: Tensor | None = None
+    place: Place | None = None
+    seen: Tensor | None = None
+
+    def value(self, name: str) -> Tensor:
+        """One entry of the vehicles' states by its name, [N].
+
+        Raises:
+            ConfigError: the vehicle's state has none of this name.
+        """
+        return _value(self.state.cars, self.simulator.vehicle, name)
 
 
 @dataclass
@@ -178,6 +226,18 @@ class StepContext:
         """The same of the step before."""
         return self.action.controls(self.before.last_action)[:, self._index(name)]
 
+    def value(self, name: str) -> Tensor:
+        """One entry of the vehicles' states after the step by its name, [N].
+
+        Raises:
+            ConfigError: the vehicle's state has none of this name.
+        """
+        return _value(self.outcome.cars, self.simulator.vehicle, name)
+
+    def value_before(self, name: str) -> Tensor:
+        """The same before the step."""
+        return _value(self.before.cars, self.simulator.vehicle, name)
+
     @cached_property
     def _controls(self) -> Tensor:
         return self.action.controls(self.taken)
@@ -187,3 +247,12 @@ class StepContext:
         if name not in names:
             raise ConfigError(f"a term wants the control {name!r}; the vehicle has {', '.join(names)}")
         return names.index(name)
+
+
+def _value(cars: CarState, vehicle: VehicleModel, name: str) -> Tensor:
+    if name not in vehicle.state_names:
+        raise ConfigError(
+            f"a term wants the {name} of the car; the state of the vehicle {type(vehicle).__name__} has "
+            f"{', '.join(vehicle.state_names)}"
+        )
+    return cars.state[:, vehicle.state_names.index(name)]

@@ -17,6 +17,8 @@ from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.source import Logged, Simulated, Source
 from carrl.env.track_env import TrackEnv
 from carrl.errors import CheckpointError, ConfigError, shown
+from carrl.sim.vehicle import VehicleModel
+from carrl.task.action import fitted
 from carrl.task.observation import Observation
 from carrl.task.random_streams import part_generator, part_seed
 from carrl.task.reward import Reward
@@ -197,11 +199,12 @@ def logs_of(config: Config) -> list[Path]:
 def build_world(config: Config) -> World:
     """Builds the track, car, sensors, observation and reward that a run was, or will be, trained with."""
     track: Track | Circuits = build_node("track", config["track"])
+    vehicle: VehicleModel = build_node("vehicle", config["vehicle"])
     return World(
         circuits=track if isinstance(track, Circuits) else Circuits.only(track),
-        vehicle=build_node("vehicle", config["vehicle"]),
+        vehicle=vehicle,
         sensor=build_node("sensor", config["sensor"]),
-        action=build_node("action", config["action"]),
+        action=fitted(build_node("action", config["action"]), vehicle),
         observation=Observation(build_terms("observation", config["observation"])),
         reward=Reward(build_terms("reward", config["reward"])),
     )
