@@ -337,4 +337,5 @@ def _look(task: Task) -> "CarLook":
         sensor_angles=simulator.sensor_angles.double().numpy(),
         sensor_range=simulator.sensor.max_range,
         body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
+        sensor_mount=simulator.sensor.mount,
     )

@@ -21,8 +21,9 @@ from carrl.task.task import World
 
 BRAKING = 4.0
 """With so much, m/s2, the rule can stop before the wall that it sees ahead."""
-GAIN, PACE_GAIN = 3.0, 0.5
-"""Of the wheel, for the difference between left and right as a share of all that is seen; of the pedals, for a m/s."""
+GAIN, PACE_GAIN, CALM = 1.5, 0.5, 20.0
+"""Of the wheel, for the difference between left and right as a share of all that is seen, the less the faster it is
+than the last of these, m/s; of the pedals, for a m/s."""
 
 _PEDALS: Mapping[str, Callable[[Tensor], Tensor]] = {
     "pedal": lambda push: push,
@@ -104,9 +105,10 @@ class _PedalRule:
     def __call__(self, observation: Tensor) -> Tensor:
         """The controls [B, C], of the rays' readings and the speed, [B, R + 1]."""
         readings, speed = observation[:, :-1], observation[:, -1]
-        steer = (GAIN * _to_left(readings) / readings.sum(-1).clamp(min=1e-6)).clamp(-1, 1)
+        steer = GAIN * _to_left(readings) / readings.sum(-1).clamp(min=1e-6) * (CALM / speed.clamp(min=CALM))
         ahead = readings[:, readings.shape[1] // 2] * self.sensor_range
         push = (PACE_GAIN * ((2 * BRAKING * ahead).sqrt() - speed)).clamp(-1, 1)
+        steer = steer.clamp(-1, 1)
         return torch.stack([steer if name == "steer" else _PEDALS[name](push) for name in self.control_names], dim=-1)
 
 

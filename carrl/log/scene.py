@@ -22,6 +22,8 @@ STATE_UNITS = {
     **{"acceleration": "m/s²", "lateral_acceleration": "m/s²"},
 }
 """Of the entries of a vehicle's state that every display knows by their names."""
+MOST_MOUNT = 1e9
+"""Of a place on the car, m."""
 OFF_MAP = 0.1
 """Of the longer side of a track: from so far outside of its walls on, a place is not drawn."""
 
@@ -103,7 +105,7 @@ class Scene:
         body_radius: of the car's disc, m; half the width of a car that is a rectangle.
         tracks: those that the column `track` counts.
         body_size: length and width of a car that is a rectangle, m.
-        sensor_mount: where the rays begin, from the middle of the car, ahead and to the left, m.
+        sensor_mount: how far ahead of the middle of the car the rays begin, m.
         friction: of the tyres on the road, if it is known: no acceleration is greater than so many times gravity.
     """
 
@@ -117,7 +119,7 @@ class Scene:
     body_radius: float
     tracks: tuple[TrackShape, ...]
     body_size: tuple[float, float] | None = None
-    sensor_mount: tuple[float, float] = (0.0, 0.0)
+    sensor_mount: float = 0.0
     friction: float | None = None
 
     def entries(self) -> dict[str, str]:
@@ -134,7 +136,7 @@ class Scene:
         }
         if self.body_size is not None:
             entries["body_size_m"] = json.dumps(self.body_size)
-        if any(self.sensor_mount):
+        if self.sensor_mount:
             entries["sensor_mount_m"] = json.dumps(self.sensor_mount)
         if self.friction is not None:
             entries["friction"] = json.dumps(self.friction)
@@ -161,8 +163,8 @@ class Scene:
             time_step=_positive(entries, "time_step_s"),
             body_radius=_positive(entries, "body_radius_m"),
             tracks=tuple(tracks),
-            body_size=_pair(entries, "body_size_m", positive=True) if "body_size_m" in entries else None,
-            sensor_mount=_pair(entries, "sensor_mount_m") if "sensor_mount_m" in entries else (0.0, 0.0),
+            body_size=_size(entries, "body_size_m") if "body_size_m" in entries else None,
+            sensor_mount=_number(entries, "sensor_mount_m") if "sensor_mount_m" in entries else 0.0,
             friction=_positive(entries, "friction") if "friction" in entries else None,
         )
 
@@ -219,12 +221,19 @@ def _positive(entries: Mapping[str, str], key: str) -> float:
     return found
 
 
-def _pair(entries: Mapping[str, str], key: str, positive: bool = False) -> tuple[float, float]:
+def _size(entries: Mapping[str, str], key: str) -> tuple[float, float]:
     found = _numbers(entries, key)
-    if found.shape != (2,) or (positive and (found <= 0).any()):
-        raise ValueError(f"its metadata entry '{key}' is {shown(found.tolist())}; it must be two lengths")
-    first, second = found.tolist()
-    return first, second
+    if found.shape != (2,) or not (found > 0).all():
+        raise ValueError(f"its metadata entry '{key}' is {shown(found.tolist())}; it must be a length and a width")
+    length, width = found.tolist()
+    return length, width
+
+
+def _number(entries: Mapping[str, str], key: str) -> float:
+    found = _parsed(entries, key, (int, float))
+    if isinstance(found, bool) or not abs(found) <= MOST_MOUNT:
+        raise ValueError(f"its metadata entry '{key}' is {shown(found)}; it must be a number")
+    return float(found)
 
 
 def _numbers(entries: Mapping[str, str], key: str) -> Floats:

@@ -161,12 +161,10 @@ class EpisodeTrace:
         return np.asarray(self.origins[:, None] + self.ranges[:, :, None] * directions)
 
 
-def ray_origins(poses: Floats, mount: tuple[float, float]) -> Floats:
-    """Where the rays of cars at poses [..., 3] begin, with a mount ahead and to the left of the middle, [..., 2], m."""
-    sine, cosine = np.sin(poses[..., 2]), np.cos(poses[..., 2])
-    ahead, left = mount
-    shift = np.stack([ahead * cosine - left * sine, ahead * sine + left * cosine], axis=-1)
-    return np.asarray(poses[..., :2] + shift)
+def ray_origins(poses: Floats, mount: float) -> Floats:
+    """Where the rays of cars at poses [..., 3] begin that are mounted so far ahead of the middle, [..., 2], m."""
+    ahead = np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
+    return np.asarray(poses[..., :2] + mount * ahead)
 
 
 def read_scene(log: Log) -> Scene:

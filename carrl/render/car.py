@@ -101,7 +101,7 @@ def placed(shape: Floats, pose: Floats) -> Floats:
     return np.asarray(shape @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2])
 
 
-def ray_ends(pose: Floats, ranges: Floats, sensor_angles: Floats, mount: tuple[float, float] = (0.0, 0.0)) -> Floats:
+def ray_ends(pose: Floats, ranges: Floats, sensor_angles: Floats, mount: float = 0.0) -> Floats:
     """Where rays with these ranges [..., R] end: [..., R, 2], m; poses [..., 3] and mount are as in `ray_origins`."""
     angles = pose[..., 2:] + sensor_angles
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)

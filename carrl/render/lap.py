@@ -47,7 +47,7 @@ def draw_lap(
     collided: bool = False,
     speeds: Floats | None = None,
     body_size: tuple[float, float] | None = None,
-    sensor_mount: tuple[float, float] = (0.0, 0.0),
+    sensor_mount: float = 0.0,
 ) -> None:
     """Writes a picture of one drive, a .png, .pdf or .svg.
 
@@ -65,7 +65,7 @@ def draw_lap(
         collided: whether the drive ended at a wall; its end is then a cross instead of a ring.
         speeds: at each pose, m/s, or none; where they do not vary the line has the colours of the actions.
         body_size: length and width of a car that is a rectangle, m.
-        sensor_mount: where the rays begin, from the middle of the car, ahead and to the left, m.
+        sensor_mount: how far ahead of the middle of the car the rays begin, m.
     """
     track_map = TrackMap(track, title)
     steps = _steps_shown(poses[: len(ranges), :2], track_map.view.scale)
@@ -104,7 +104,7 @@ class _Lap:
     collided: bool
     speeds: Floats | None
     body_size: tuple[float, float] | None
-    sensor_mount: tuple[float, float]
+    sensor_mount: float
 
     def draw(self, canvas: Canvas, view: View, body_radius: float, sensor_range: float) -> None:
         """Draws the rays, the line, the car, and the end."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.log.trace import ray_origins
+from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Floats, Picture, PixelCanvas, Stroke, View, fitted, text_width
 from carrl.render.car import draw_car, draw_rays, placed, ray_ends
 from carrl.render.colours import DARK, ORANGE, PURPLE, SKY, YELLOW, blend, nearness_colour
@@ -86,7 +87,7 @@ class CarLook:
         sensor_angles: directions of the rays, [R], rad counter-clockwise from the heading.
         sensor_range: m.
         body_size: length and width of a car that is a rectangle, m.
-        sensor_mount: where the rays begin, from the middle of the car, ahead and to the left, m.
+        sensor_mount: how far ahead of the middle of the car the rays begin, m.
     """
 
     body_radius: float
@@ -95,7 +96,7 @@ class CarLook:
     sensor_angles: Floats
     sensor_range: float
     body_size: tuple[float, float] | None = None
-    sensor_mount: tuple[float, float] = (0.0, 0.0)
+    sensor_mount: float = 0.0
 
 
 class FollowPicture:
@@ -112,7 +113,7 @@ class FollowPicture:
         self.size, self._car = size, car
         self._grounds = [Ground.of(track) for track in tracks]
         self._canvas = PixelCanvas(*size)
-        self._scale = size[1] / max(LEAST_VIEW, 2.4 * car.sensor_range)
+        self._scale = size[1] / max(LEAST_VIEW, 2.4 * min(car.sensor_range, MOST_SEEN))
         self._figures, self._scale_bar, self._legend = _figures_panel(), self._scale_panel(), self._legend_panel()
         self._maps: dict[int, PixelCanvas] = {}
 

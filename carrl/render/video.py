@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from carrl.errors import CarrlError
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace, ray_origins
+from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Canvas, Floats, Picture, PixelCanvas, Stroke, View, fitted
 from carrl.render.car import draw_car, draw_rays, ray_ends
 from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
@@ -150,7 +151,7 @@ class WorldPicture:
 
     @cached_property
     def _follow_scale(self) -> float:
-        return min(CLOSEST_SCALE, AREA.height / (RANGES_SEEN * self.trace.scene.sensor_range))
+        return min(CLOSEST_SCALE, AREA.height / (RANGES_SEEN * min(self.trace.scene.sensor_range, MOST_SEEN)))
 
     @property
     def _follows(self) -> bool:

@@ -106,9 +106,7 @@ def _first_touch(
 
 
 @apart
-def _touched(
-    near: np.ndarray, x: float, y: float, way_x: float, way_y: float, heading: float, body: _Body
-) -> int:
+def _touched(near: np.ndarray, x: float, y: float, way_x: float, way_y: float, heading: float, body: _Body) -> int:
     """A wall that the body touches on its straight way, or -1: see `geometry.path_clearance`, `rectangle_touches`."""
     cos, sin = math.cos(heading), math.sin(heading)
     end_x, end_y = x + way_x, y + way_y

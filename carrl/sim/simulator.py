@@ -97,7 +97,9 @@ class Outcome(Rows):
     @property
     def _on_the_road(self) -> Place:
         if self.place is None:
-            raise ConfigError('a term wants to know where on the road a car is; its class must say `needs = ("place",)`')
+            raise ConfigError(
+                'a term wants to know where on the road a car is; its class must say `needs = ("place",)`'
+            )
         return self.place
 
 

@@ -60,6 +60,8 @@ def scene_of(env: TrackEnv) -> Scene:
         body_radius=body.half_width,
         tracks=(),
         body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
+        sensor_mount=float(env.simulator.sensor.mount),
+        friction=getattr(vehicle, "friction", None),
     )
 
 

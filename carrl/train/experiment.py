@@ -326,6 +326,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
             body_radius=body.half_width,
             body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
             sensor_range=world.sensor.max_range,
+            sensor_mount=world.sensor.mount,
             title=f"{track.name}: best greedy drive, {_in_short(best, world)}",
             collided=best.collided,
             speeds=best.speeds,

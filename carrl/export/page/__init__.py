@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from carrl.files import write_whole
 from carrl.log.scene import STATE_UNITS
 from carrl.log.trace import EpisodeTrace
+from carrl.render import MOST_SEEN
 from carrl.render.colours import LIGHT
 from carrl.render.episode import EpisodeScene, connected_walls
 from carrl.render.trail import speed_span, steps_of, trail_colours
@@ -125,6 +126,7 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
         "controlNames": [] if trace.controls is None else scene.control_names,
         "termNames": scene.reward_terms,
         "sensorRange": scene.sensor_range,
+        "rangeSeen": min(scene.sensor_range, MOST_SEEN),
         "sensorAngles": scene.sensor_angles.tolist(),
         "sensorMount": scene.sensor_mount,
         "bodyRadius": scene.body_radius,

@@ -47,9 +47,8 @@ function drawFlash(context, episode, camera, colours, position) {
 // A line for each ray, and a dot where it ends at a wall and not at the sensor's range.
 function drawRays(context, episode, camera, colours, position) {
   const [middleX, middleY, heading] = poseAt(episode, position);
-  const [ahead, left] = episode.sensorMount;
-  const x = middleX + ahead * Math.cos(heading) - left * Math.sin(heading);
-  const y = middleY + ahead * Math.sin(heading) + left * Math.cos(heading);
+  const x = middleX + episode.sensorMount * Math.cos(heading);
+  const y = middleY + episode.sensorMount * Math.sin(heading);
   const thickness = clamp(0.2 * camera.scale, 1, 2);
   for (let ray = 0; ray < episode.rays; ray++) {
     const range = rangeAt(episode, position, ray);
