@@ -16,8 +16,9 @@ from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
 from carrl.render import span
 from carrl.render.colours import DARK, ERROR
-from carrl.render.episode import EpisodeScene, Series, direction, steps_of
+from carrl.render.episode import EpisodeScene, Series, direction
 from carrl.render.terminal import Chart, Ink, action_inks, map_chart, shows_colours
+from carrl.render.trail import steps_of
 
 SIDE_BY_SIDE = 120
 """From so many characters to a line on, the charts stand beside the map."""
