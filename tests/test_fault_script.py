@@ -39,7 +39,9 @@ def write_log(path, seed):
             writer.write(tensordict_of(columns, make_schema()))
             end = int(columns["time_ns"][-1])
             writer.write_episode(Episode(number, 0, 0, number, 0, end, -1.5, 5, 1, 0, "collision", (1.0, 2.0, 3.0)))
-            writer.write_metrics(Metrics(number, seed, float("nan"), 1.5, -2.0, 0.99, 1234.5))
+            writer.write_metrics(
+                Metrics(number, seed, float("nan"), 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.99})
+            )
             writer.flush()
 
 

@@ -29,7 +29,7 @@ class UpdateResult(NamedTuple):
     """What an update found.
 
     Attributes:
-        losses: before it, [A]; of several losses their sum.
+        losses: before it, [A]; of actors and critics that of the critics.
         td_errors: squared, by which a prioritised memory samples, [N, A]; None where nobody asked.
     """
 
@@ -45,8 +45,8 @@ class FunctionalUpdate(NamedTuple):
             `state` that the update replaces; `results` has `loss` [] and `td_error` [N].
         state: what updates change, of each replicate: the very tensors that others go on working with.
         constants: what they read besides, of each replicate.
-        inputs: gives what is made anew for the next update, of each replicate: learning rates, and random numbers,
-            which are drawn here, from each replicate's own generator, as the compiled function itself draws none.
+        inputs: gives what `prepare` made anew for the next update, of each replicate: learning rates, and random
+            numbers, as the compiled function itself draws none.
     """
 
     function: Callable[[Tree, Tree, Tree, TensorDictBase], tuple[Tree, Tree]]
@@ -106,16 +106,22 @@ class Algorithm(ABC):
         It is called after the updates that belong to these steps.
         """
 
-    def prepare(self, update: int) -> None:  # noqa: B027
-        """Gets ready for an update, by its number from 0: learning rates and random numbers."""
+    def prepare(self, update: int, batch_size: int) -> None:  # noqa: B027
+        """Gets ready for an update, by its number from 0, on so many transitions: learning rates, random numbers."""
+
+    def kind_of(self, update: int) -> int:
+        """Which of the updates that `functional` names the one with this number from 0 is; the first one is 0."""
+        return 0
 
     @abstractmethod
     def update(self, batch: TensorDictBase) -> UpdateResult:
         """Makes an update from minibatches [N, A], as torch and TorchRL have it; they may have a `priority_weight`."""
 
     @abstractmethod
-    def functional(self) -> FunctionalUpdate:
+    def functional(self) -> Sequence[FunctionalUpdate]:
         """The same update to be compiled, on the tensors that are there now; `update` was called before.
+
+        Where some updates move less than others there are several, all with the same state.
 
         Raises:
             CompilationError: there is none.

@@ -186,17 +186,18 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         return now.observation.numpy()[0].copy(), self._info(now, [0.0] * len(self.task.reward.term_names))
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Drives one time step; terminates on a collision and never truncates by itself.
+        """Drives one time step; terminates on a collision, or as `end` says, and never truncates by itself.
 
         Raises:
-            ResetNeeded: there was no reset, or none since a collision.
+            ResetNeeded: there was no reset, or none since the episode ended.
             ActionError: there is no such action; it is a ConfigError and Gymnasium's InvalidAction.
         """
         before = self._now
         if before is None:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
         if self._collided:
-            raise gymnasium.error.ResetNeeded("the car has hit a wall, which ended its episode; reset it")
+            ended = "the car has hit a wall" if bool(before.state.contact) else "one of the episode's ends has come"
+            raise gymnasium.error.ResetNeeded(f"{ended}, which ended its episode; reset it")
         after = self.task.step(before.state, one_action(action, self.task.action))
         self._now = now = EpisodeStart(after.state, after.observation)
         terms = after.reward_terms

@@ -4,6 +4,7 @@ Shapes: `N` cars driven side by side, `R` rays.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -17,6 +18,7 @@ from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.vehicle import POSE, VehicleModel
 from carrl.task.action import ActionMap, in_words
 from carrl.task.checks import seed_list, seed_number
+from carrl.task.end import End
 from carrl.task.episode import EpisodeState, Start
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
@@ -33,13 +35,15 @@ class TrackEnv(EnvBase):
     | `action` | [N] int64 | by default 0 forward, 1 left, 2 right |
     | `reward` | [N, 1] float32 | sum of `reward_terms` |
     | `reward_terms` | [N, K] float32 | by default collision, proximity, gate, steering; zero after a reset |
-    | `terminated` | [N, 1] bool | the car touched a wall |
-    | `truncated` | [N, 1] bool | the episode reached `max_steps` without a collision |
+    | `terminated` | [N, 1] bool | the car touched a wall, or what else `end` says |
+    | `truncated` | [N, 1] bool | the episode reached `max_steps` without that |
     | `pose` | [N, 3] float32 | x m, y m, heading rad counter-clockwise from +x |
     | `state` | [N, S] float32 | named by `state_names`, the pose first; of vehicles whose state has more than a pose |
     | `next_gate`, `gates_passed`, `step` | [N] int64 | the gate that counts next; gates and steps of the episode |
     | `last_action` | as `action` | of the step before; the first action after a reset |
     | `track` | [N] int64 | index into `tracks` of what the car drives on |
+    | `station` | [N] float32 | way along the centreline from the start line, m; if a term asks where the car is |
+    | `stalled` | [N] int64 | steps in a row without progress; if they end an episode |
 
     An action is a whole number of any integer type, and each car has one. A car whose episode has ended is to be reset,
     as TorchRL's collectors, `rollout` and `step_and_maybe_reset` do; as elsewhere in TorchRL `step` does not look at
@@ -62,6 +66,7 @@ class TrackEnv(EnvBase):
         observation: what it is told.
         reward: what a step earns; it counts true distances, whatever the sensor reads.
         start: where episodes start.
+        end: what ends them before their time; by default touching a wall.
         max_steps: length at which an episode is truncated, steps.
 
     Raises:
@@ -82,6 +87,7 @@ class TrackEnv(EnvBase):
         observation: Observation | None = None,
         reward: Reward | None = None,
         start: Start | None = None,
+        end: End | None = None,
         max_steps: int = 1000,
     ) -> None:
         """Builds the simulator and declares the specs."""
@@ -99,6 +105,7 @@ class TrackEnv(EnvBase):
             observation=observation,
             reward=reward,
             start=start,
+            end=end,
             max_steps=max_steps,
         )
         super().__init__(device=device, batch_size=[task.cars])
@@ -163,6 +170,8 @@ class TrackEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
         state = EpisodeState(cars, tensordict["step"], tensordict["last_action"])
+        if self.task.carried:
+            state = self._carrying(state, tensordict)
         action = tensordict["action"]
         if action.dtype is not state.last_action.dtype or action.shape != state.last_action.shape:
             action = self._of_spec(action, state.last_action)
@@ -178,6 +187,14 @@ class TrackEnv(EnvBase):
             "done": (after.terminated | after.truncated)[:, None],
         }
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _carrying(self, state: EpisodeState, tensordict: TensorDictBase) -> EpisodeState:
+        """The state with what some terms need from step to step."""
+        station, stalled, seen = (
+            tensordict[key] if name in self.task.carried else None
+            for name, key in (("station", "station"), ("stalled", "stalled"), ("seen", "observation"))
+        )
+        return replace(state, cars=replace(state.cars, station=station), stalled=stalled, seen=seen)
 
     def _set_seed(self, seed: int | None) -> None:
         self.task.streams.seed(0 if seed is None else seed_number(seed))
@@ -217,7 +234,8 @@ class TrackEnv(EnvBase):
     def _as_dict(self, now: EpisodeStart | StepResult) -> dict[str, Tensor]:
         """The state and the observation by the names of the keys."""
         state, cars = now.state, now.state.cars
-        return {
+        carried = {"station": cars.station, "stalled": state.stalled}
+        return {name: value for name, value in carried.items() if value is not None} | {
             "observation": now.observation,
             "pose": cars.pose if self._state_key == "state" else cars.state,
             self._state_key: cars.state,
@@ -247,9 +265,16 @@ class TrackEnv(EnvBase):
             "step": count.clone(),
             "last_action": task.action.spec.expand(cars, *task.action.spec.shape),
         }
+        if "station" in task.carried:
+            state["station"] = Unbounded((cars,), dtype=torch.float32)
+        if "stalled" in task.carried:
+            state["stalled"] = count.clone()
         low, high = task.observation_bounds
+        is_bounded = bool((low.isfinite() & high.isfinite()).all())
         self.observation_spec = Composite(
-            observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
+            observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32)
+            if is_bounded
+            else numbers(len(low)),
             reward_terms=numbers(len(task.reward.term_names)),
             **{"pose": numbers(3), **state},
             shape=(cars,),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from google.protobuf.message import DecodeError
 
-from carrl.log.messages import Ended, Episode, Metrics
+from carrl.log.messages import Ended, Episode, Metrics, MetricsFields
 from carrl.log.schema import EPISODES, METRICS, SMALL_MESSAGES, Column, Schema, small_message_class
 
 if TYPE_CHECKING:
@@ -116,7 +116,8 @@ EVERYTHING = Selection()
 
 def encode_small(topic: str, run: int, message: Episode | Metrics) -> bytes:
     """Serialises an ended episode or a message of metrics."""
-    return bytes(small_message_class(topic)(run=run, **message._asdict()).SerializeToString())
+    fields = MetricsFields.of(message) if isinstance(message, Metrics) else message
+    return bytes(small_message_class(topic)(run=run, **fields._asdict()).SerializeToString())
 
 
 def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
@@ -128,7 +129,7 @@ def decode_small(topic: str, message: bytes) -> tuple[int, Episode | Metrics]:
     wire = parse_message(small_message_class(topic), message)
     values = _SMALL_VALUES[topic](wire)
     if topic == METRICS:
-        return wire.run, Metrics._make(values)
+        return wire.run, MetricsFields._make(values).message()
     if wire.ended not in _ENDS or len(wire.end_pose) != 3:
         raise ValueError(f"an episode ended by {wire.ended!r:.20} at {len(wire.end_pose)} coordinates")
     return wire.run, Episode._make(values)._replace(end_pose=tuple(wire.end_pose))

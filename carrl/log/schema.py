@@ -19,7 +19,7 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from carrl.log.messages import Episode, Metrics
+from carrl.log.messages import Episode, MetricsFields
 
 FORMAT_VERSION = 3
 TRANSITIONS, EPISODES, METRICS = "/transitions", "/episodes", "/metrics"
@@ -40,8 +40,8 @@ _PROTOBUF_TYPES = {
 }
 _NAME = re.compile("[a-z][a-z0-9_]{0,63}")
 
-SMALL_MESSAGES: Mapping[str, type[Episode] | type[Metrics]] = {EPISODES: Episode, METRICS: Metrics}
-"""What is logged one by one, by topic."""
+SMALL_MESSAGES: Mapping[str, type[Episode] | type[MetricsFields]] = {EPISODES: Episode, METRICS: MetricsFields}
+"""The fields of what is logged one by one, by topic."""
 
 MESSAGE_NAMES: Mapping[str, str] = {
     TRANSITIONS: "carrl.Transitions",
@@ -65,7 +65,7 @@ _BATCH_FIELDS = {
 _SMALL_TYPES = {
     int: FieldDescriptorProto.TYPE_INT64,
     float: FieldDescriptorProto.TYPE_DOUBLE,
-    tuple: FieldDescriptorProto.TYPE_DOUBLE,
+    str: FieldDescriptorProto.TYPE_STRING,
     typing.Literal: FieldDescriptorProto.TYPE_STRING,
 }
 
@@ -295,19 +295,20 @@ def _file_descriptor(topic: str, fields: list[FieldDescriptorProto]) -> FileDesc
     return FileDescriptorProto(name=f"carrl{topic}.proto", package=package, syntax="proto3", message_type=[message])
 
 
-def _small_fields(small: type[Episode] | type[Metrics]) -> list[FieldDescriptorProto]:
+def _small_fields(small: type[Episode] | type[MetricsFields]) -> list[FieldDescriptorProto]:
     """One field for each of the tuple, after that of the run."""
     fields = [_field(1, "run", FieldDescriptorProto.TYPE_FIXED64)]
     hints = typing.get_type_hints(small)
     for number, name in enumerate(small._fields, start=2):
         hint = typing.get_origin(hints[name]) or hints[name]
-        fields.append(_field(number, name, _SMALL_TYPES[hint], repeated=hint is tuple))
+        entry = typing.get_args(hints[name])[0] if hint is tuple else hint
+        fields.append(_field(number, name, _SMALL_TYPES[entry], repeated=hint is tuple))
     return fields
 
 
 def _field(number: int, name: str, kind: FieldDescriptorProto.Type, repeated: bool = False) -> FieldDescriptorProto:
     label = FieldDescriptorProto.LABEL_REPEATED if repeated else FieldDescriptorProto.LABEL_OPTIONAL
     field = FieldDescriptorProto(number=number, name=name, type=kind, label=label)
-    if repeated:
+    if repeated and kind != FieldDescriptorProto.TYPE_STRING:
         field.options.packed = True
     return field

@@ -77,9 +77,17 @@ class Places:
     def __init__(self, roads: Sequence[Tensor], gate_counts: Sequence[int], step_length: float) -> None:
         """Lays the centrelines end to end."""
         each = [_road(road.double().numpy()) for road in roads]
-        joined = (np.concatenate(column) for column in zip(*(road[:4] for road in each), strict=True))
+        ends, stations, headings, room, lengths, turns = zip(*each, strict=True)
         first = np.cumsum([0] + [len(road) for road in roads])
-        self._roads = _Roads(*joined, first, *(np.array(column) for column in zip(*(r[4:] for r in each), strict=True)))
+        self._roads = _Roads(
+            ends=np.concatenate(ends),
+            stations=np.concatenate(stations),
+            headings=np.concatenate(headings),
+            room=np.concatenate(room),
+            first=first,
+            lengths=np.array(lengths),
+            turns=np.array(turns),
+        )
         self._gate_gaps = self._roads.lengths / np.array(gate_counts)
         widest = np.maximum.reduceat(self._roads.room[:, [0, 2]].sum(axis=1), first[:-1])
         self._reach = 2 * step_length + widest  # a corner's sides are no further apart for a car between the walls
@@ -149,7 +157,7 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 def _find(
     roads: _Roads, state: np.ndarray, track: np.ndarray, near: np.ndarray, reach: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """The entries of `Place` for cars [B, S] near these stations [B], m, and no further from them than the reach [B]."""
+    """The entries of `Place` for cars [B, S], no further than the reach [B] from the stations near them [B], m."""
     cars = len(state)
     if state.shape[1] < 3 or len(track) != cars or len(near) != cars or len(reach) != cars:
         raise ValueError("state, track and station must be of the same number of cars, a state begin with a pose")

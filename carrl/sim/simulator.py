@@ -95,11 +95,14 @@ class Outcome(Rows):
         return self._on_the_road.heading_error
 
     @property
+    def side(self) -> Tensor:
+        """The offset as a share of the way to the wall on that side, [B], float32: -1 right edge .. +1 left edge."""
+        return self._on_the_road.side
+
+    @property
     def _on_the_road(self) -> Place:
         if self.place is None:
-            raise ConfigError(
-                'a term wants to know where on the road a car is; its class must say `needs = ("place",)`'
-            )
+            raise ConfigError('a term asks where on the road a car is; its class must say `needs = ("place",)`')
         return self.place
 
 

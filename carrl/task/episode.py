@@ -147,7 +147,7 @@ class EpisodeState(Rows):
         last_action: of the step before; `ActionMap.first` at the start, [N] or [N, C].
         seen: the observation, [N, O], float32; None where no term looks back at it.
         stalled: for how many steps the car has made no progress, [N], int64; None where that does not matter.
-        contact: the body touched a wall in the last step, [N], bool; None at the start.
+        contact: the body touched a wall in the last step, [N], bool; None where nobody has kept it.
     """
 
     cars: CarState

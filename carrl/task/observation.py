@@ -4,16 +4,19 @@ Shapes: `N` cars, `R` rays, `O` values of an observation.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
+from carrl.config import is_whole_number
 from carrl.errors import ConfigError
 from carrl.sim.sensor import Sensor
 from carrl.task.action import ActionMap
 from carrl.task.episode import ObservationContext
+
+MOST_SCANS = 100
 
 
 class Part(NamedTuple):
@@ -33,7 +36,10 @@ class Part(NamedTuple):
 
 
 class ObservationTerm(Protocol):
-    """A pure function of a moment, but for what it draws from the moment's own random numbers."""
+    """A pure function of a moment, but for what it draws from the moment's own random numbers.
+
+    A term that looks at the context's `place` or `seen`, which cost time, has an attribute `needs` with these names.
+    """
 
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
         """How many values it has and how large they may be; `name` is what the configuration calls it."""
@@ -58,6 +64,36 @@ class Rays:
         draws = streams.normal(sensor.rays, wanted=wanted), streams.uniform(sensor.rays, wanted=wanted)
         errors, chances = (draw if wanted is None else draw[wanted] for draw in draws)
         return sensor.readings(sensor.err(ranges, errors.to(ranges), chances.to(ranges)))
+
+
+@dataclass(frozen=True)
+class Scans(Rays):
+    """The last scans of the rays, the newest first; at a start the first one in the place of those that were not.
+
+    Attributes:
+        count: how many.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("seen",)
+    count: int = 2
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a number out of its range."""
+        if not (is_whole_number(self.count) and 1 <= self.count <= MOST_SCANS):
+            raise ConfigError(
+                f"observation: count of Scans is {self.count}; it must be a whole number from 1 to {MOST_SCANS}"
+            )
+
+    def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
+        """One value a ray and scan."""
+        return Part(name, self.count * sensor.rays, 0.0, 1.0)
+
+    def __call__(self, context: ObservationContext) -> Tensor:
+        """As the sensor read them."""
+        newest = super().__call__(context)
+        if context.seen is None:
+            return newest.repeat(1, self.count)
+        return torch.cat([newest, context.seen[:, : -newest.shape[1]]], dim=-1)
 
 
 @dataclass(frozen=True)
@@ -96,8 +132,13 @@ class Observation:
         return tuple(term.part(name, sensor, action) for name, term in self.terms.items())
 
     def __call__(self, context: ObservationContext) -> Tensor:
-        """The observations, [N, O], float32."""
-        values = [term(context) for term in self.terms.values()]
+        """The observations, [N, O], float32; the context's `seen` is the whole observation of the step before."""
+        if context.seen is None:
+            values = [term(context) for term in self.terms.values()]
+        else:
+            widths = [part.width for part in self.parts(context.simulator.sensor, context.action)]
+            told = zip(self.terms.values(), context.seen.split(widths, dim=-1), strict=True)
+            values = [term(replace(context, seen=seen)) for term, seen in told]
         return values[0] if len(values) == 1 else torch.cat(values, dim=-1)
 
 

@@ -25,13 +25,16 @@ LAP_TERMS = ("collision", "proximity", "gate")
 
 
 class RewardTerm(Protocol):
-    """A pure function of a step."""
+    """A pure function of a step.
+
+    A term that looks at where on the road the car is, which costs time, has an attribute `needs` with the name "place".
+    """
 
     def __call__(self, step: StepContext) -> Tensor:
         """What the step earns, [N], float32."""
 
 
-class _Term:
+class FiniteTerm:
     """Refuses values that are no finite numbers."""
 
     def __post_init__(self) -> None:
@@ -40,7 +43,7 @@ class _Term:
             number(f"reward: {name} of {type(self).__name__}", value, -_MOST, _MOST, "a finite number")
 
 
-class _Weighted(_Term):
+class _Weighted(FiniteTerm):
     """A term with one weight."""
 
     weight: float
@@ -107,7 +110,7 @@ class Gate(_Weighted):
 
 
 @dataclass(frozen=True)
-class Steering(_Term):
+class Steering(FiniteTerm):
     """For turning the wheel; not the paper's.
 
     Attributes:
@@ -127,7 +130,7 @@ class Steering(_Term):
 
 
 @dataclass(frozen=True)
-class Shaping(_Term):
+class Shaping(FiniteTerm):
     """For coming closer to the next gate; not the paper's.
 
     The potential of a state is -approach * distance, that of the end of an episode 0, and a step earns discount *

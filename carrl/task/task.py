@@ -5,10 +5,8 @@ Every environment is a thin cover over it, and so is every evaluation.
 Shapes: `N` cars driven side by side, `K` of them, `O` values of an observation.
 """
 
-import math
-import traceback
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +16,13 @@ from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
 from carrl.rows import Rows, scalar
+from carrl.sim.places import Place
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.vehicle import Vehicle, VehicleModel
-from carrl.task.action import ActionMap, check_fits, steer3
+from carrl.task.action import ActionMap, check_fits, fitted, steer3
 from carrl.task.checks import instance, whole_number
+from carrl.task.end import End, end_at_contact
 from carrl.task.episode import EpisodeState, ObservationContext, Start, StartSampler, StepContext
 from carrl.task.observation import Observation, Part, rays_only
 from carrl.task.random_streams import RandomStreams
@@ -62,7 +62,7 @@ class StepResult(Rows):
         state: of the episodes after the step.
         observation: what the driver is told then, [N, O], float32.
         reward_terms: see `Reward`, [N, K], float32; the reward is their sum.
-        terminated: the car touched a wall, [N], bool.
+        terminated: the episode ended before its time, by default since the car touched a wall, [N], bool.
         truncated: the episode reached its last step without that, [N], bool.
         outcome: of the simulator.
     """
@@ -86,7 +86,11 @@ class Task:
         observation: what it is told.
         reward: what a step earns.
         start: where episodes start.
+        end: what ends them before their time; the simulator is of its `slide`.
         max_steps: length at which an episode is truncated, steps.
+
+    Attributes:
+        carried: names of what is to be kept from step to step beyond the usual: `station`, `stalled`, `seen`.
 
     Raises:
         ConfigError: a parameter is out of its range, or the action map does not fit the vehicle.
@@ -102,14 +106,18 @@ class Task:
         observation: Observation | None = None,
         reward: Reward | None = None,
         start: Start | None = None,
+        end: End | None = None,
         max_steps: int = UNLIMITED,
     ) -> None:
         """Seeds the generators."""
         cars = whole_number("env.num_envs", cars, 1, MOST_CARS)
         self.simulator, self.max_steps = simulator, whole_number("env.max_steps", max_steps, 1, 2**63 - 1)
-        self.action, self.observation = action or steer3(), observation or rays_only()
-        self.reward = reward or paper_reward()
-        check_fits(self.action, simulator.vehicle)
+        self.action, self.observation = fitted(action or steer3(), simulator.vehicle), observation or rays_only()
+        self.reward, self.end = reward or paper_reward(), end or end_at_contact()
+        needs = _needs(self.observation.terms, self.reward.terms, self.end.terms)
+        self._needs_place = "place" in needs
+        carried = {"place": "station", "stalled": "stalled", "seen": "seen"}
+        self.carried = tuple(name for need, name in carried.items() if need in needs)
         self.cars = cars * len(seeds)
         readings = self.cars * simulator.sensor.rays
         if readings > MOST_READINGS:
@@ -147,22 +155,46 @@ class Task:
 
     def start_at(self, cars: CarState, wanted: Tensor | None = None) -> EpisodeStart:
         """New episodes of cars that are here, [K], which are the `wanted` ones of all [N]; of all by default."""
+        state, place = self.begin_at(cars)
+        observation = self._observe(state, self.simulator.sense(cars), place, wanted=wanted)
+        return EpisodeStart(self._remembering(state, observation), observation)
+
+    def begin_at(self, cars: CarState) -> tuple[EpisodeState, Place | None]:
+        """The state of episodes that begin here, and where on the road the cars are, if a term needs that."""
         first = self.action.first.to(self.simulator.device)
         step = torch.zeros_like(cars.next_gate)
-        state = EpisodeState(cars, step, first.expand(len(step), *first.shape).clone())
-        return EpisodeStart(state, self._observe(state, self.simulator.sense(cars), wanted))
+        place = self.simulator.place(replace(cars, station=None)) if self._needs_place else None
+        cars = cars if place is None else replace(cars, station=place.station)
+        stalled = step.clone() if "stalled" in self.carried else None
+        contact = torch.zeros_like(step, dtype=torch.bool)
+        last_action = first.expand(len(step), *first.shape).clone()
+        return EpisodeState(cars, step, last_action, None, stalled, contact), place
 
     def step(self, state: EpisodeState, action: Tensor) -> StepResult:
         """Drives every car by one time step: actions [N] or [N, C], within the action map's spec.
 
         The reward counts true distances, whatever the sensor reads.
         """
+        step = self.drive(state, action)
+        outcome = step.outcome
+        terms, terminated = self.reward(step), self.end(step)
+        stalled = self.end.stalled(step) if "stalled" in self.carried else None
+        after = EpisodeState(outcome.cars, state.step + self._one, action, None, stalled, outcome.collided)
+        truncated = (after.step >= self._most_steps) > terminated  # the one without the other
+        observation = self._observe(after, outcome.ranges, outcome.place, state.seen)
+        return StepResult(self._remembering(after, observation), observation, terms, terminated, truncated, outcome)
+
+    def drive(self, state: EpisodeState, action: Tensor) -> StepContext:
+        """The same before it is judged; it says where on the road the cars are, if a term needs that."""
         outcome = self.simulator.step(state.cars, self.action.controls(action))
-        terms = self.reward(StepContext(state, action, outcome, self.simulator, self.action))
-        after = EpisodeState(outcome.cars, state.step + self._one, action)
-        truncated = (after.step >= self._most_steps) > outcome.collided  # the one without the other
-        observation = self._observe(after, outcome.ranges)
-        return StepResult(after, observation, terms, outcome.collided, truncated, outcome)
+        if self._needs_place:
+            place = self.simulator.place(replace(outcome.cars, station=state.cars.station))
+            outcome = replace(outcome, cars=replace(outcome.cars, station=place.station), place=place)
+        return StepContext(state, action, outcome, self.simulator, self.action)
+
+    def _remembering(self, state: EpisodeState, observation: Tensor) -> EpisodeState:
+        """The state with the observation, if a term looks back at it."""
+        return replace(state, seen=observation) if "seen" in self.carried else state
 
     def steer(self, action: Tensor) -> Tensor:
         """How far actions [N] or [N, C] turn the wheel, [N], -1 to 1; 0 for a car that is not steered."""
@@ -177,46 +209,22 @@ class Task:
         drawn = self.streams.uniform(*spec.shape).to(self.simulator.device)
         return (spec.low + (spec.high - spec.low) * drawn).float()
 
-    def try_terms(self) -> None:
-        """Tries every term on two cars at a track's start, with random numbers of its own.
-
-        Raises:
-            ConfigError: a term fails, or its value has another shape than it should, or one that is not finite or, of
-                an observation, outside of its bounds.
-        """
-        trial = Task(self.simulator, 2, [0], action=self.action, observation=self.observation, reward=self.reward)
-        cars = self.simulator.start(torch.zeros(2))
-        first = self.action.first.to(self.simulator.device)
-        state = EpisodeState(cars, torch.zeros_like(cars.next_gate), first.expand(2, *first.shape).clone())
-        seen = ObservationContext(state, self.simulator.sense(cars), self.simulator, self.action, trial.streams)
-        for part, (name, term) in zip(self.observation_parts, self.observation.terms.items(), strict=True):
-            _check_value(f"observation.{name}", term, seen, (2, part.width), part.low, part.high)
-        outcome = self.simulator.step(cars, self.action.controls(state.last_action))
-        step = StepContext(state, state.last_action, outcome, self.simulator, self.action)
-        for name, earns in self.reward.terms.items():
-            _check_value(f"reward.{name}", earns, step, (2,), -math.inf, math.inf)
-
-    def _observe(self, state: EpisodeState, ranges: Tensor, wanted: Tensor | None = None) -> Tensor:
-        return self.observation(ObservationContext(state, ranges, self.simulator, self.action, self.streams, wanted))
+    def _observe(
+        self,
+        state: EpisodeState,
+        ranges: Tensor,
+        place: Place | None,
+        seen: Tensor | None = None,
+        wanted: Tensor | None = None,
+    ) -> Tensor:
+        return self.observation(
+            ObservationContext(state, ranges, self.simulator, self.action, self.streams, wanted, place, seen)
+        )
 
 
-def _check_value(
-    name: str, term: Callable[..., Tensor], context: Any, shape: tuple[int, ...], low: float, high: float
-) -> None:
-    try:
-        value = term(context)
-    except ConfigError:
-        raise
-    except Exception as error:  # of a person's own code
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise ConfigError(f"{name}: {type(error).__name__}: {error} ({place.filename}:{place.lineno})") from error
-    wanted = "[N]" if len(shape) == 1 else f"[N, {shape[1]}]"
-    found = list(value.shape) if isinstance(value, Tensor) else f"of type {type(value).__name__}"
-    if found != list(shape):
-        raise ConfigError(f"{name} gives {found} for 2 cars; it must give a tensor {wanted} for N cars")
-    if not ((value >= low) & (value <= high) & value.isfinite()).all():
-        values = shown(value.flatten().tolist())
-        raise ConfigError(f"{name} gives {values}; its values must be finite and lie in {low}..{high}")
+def _needs(*groups: Mapping[str, Any]) -> set[str]:
+    """What any of the terms needs that costs time."""
+    return {need for terms in groups for term in terms.values() for need in getattr(term, "needs", ())}
 
 
 def make_task(
@@ -231,6 +239,7 @@ def make_task(
     observation: Observation | None = None,
     reward: Reward | None = None,
     start: Start | None = None,
+    end: End | None = None,
     max_steps: int = 1000,
 ) -> Task:
     """A task with a simulator of its own; the arguments are those of `TrackEnv`.
@@ -243,15 +252,17 @@ def make_task(
     start = instance("start", start, Start) or Start()
     vehicle = instance("vehicle", vehicle, VehicleModel) or Vehicle()  # type: ignore[type-abstract]
     sensor = instance("sensor", sensor, Sensor) or Sensor()
+    end = instance("end", end, End) or end_at_contact()
     tracks = start.variants([each if isinstance(each, Track) else Track.load(each) for each in _listed(track)])
     return Task(
-        Simulator(tracks, vehicle, sensor, device),
+        Simulator(tracks, vehicle, sensor, device, slide=end.slide),
         num_envs,
         seeds,
         action=action,
         observation=instance("observation", observation, Observation),
         reward=instance("reward", reward, Reward),
         start=start,
+        end=end,
         max_steps=max_steps,
     )
 
@@ -306,7 +317,7 @@ class World:
         return Simulator(tracks, self.vehicle, self.sensor, device)
 
     def evaluation_task(self, simulator: Simulator, cars: int) -> Task:
-        """Episodes of so many cars, without a limit of steps."""
+        """Episodes of so many cars, without a limit of steps, that end where a car touches a wall."""
         return Task(
             simulator, cars, [SENSOR_SEED], action=self.action, observation=self.observation, reward=self.reward
         )

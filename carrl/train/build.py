@@ -19,10 +19,12 @@ from carrl.env.track_env import TrackEnv
 from carrl.errors import CheckpointError, ConfigError, shown
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import fitted
+from carrl.task.end import End
 from carrl.task.observation import Observation
 from carrl.task.random_streams import part_generator, part_seed
 from carrl.task.reward import Reward
 from carrl.task.task import World
+from carrl.task.trial import try_terms
 from carrl.tracks.circuits import Circuits
 from carrl.tracks.track import Track
 from carrl.train.checkpoint import load_checkpoint
@@ -168,10 +170,11 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         observation=world.observation,
         reward=world.reward,
         start=build_node("start", config["start"]),
+        end=End(build_terms("end", config["end"])) if "end" in config else None,  # runs of before had no choice
         device=device,
         seed=[part_seed(seed, "env") for seed in seeds],
     )
-    env.task.try_terms()
+    try_terms(env.task)
     return env
 
 

@@ -225,7 +225,7 @@ class Recorder(Callback):
                 updates=trainer.updates,
                 loss=losses[index],
                 frames_per_second=rate,
-                **figures[index],
+                figures=figures[index],
             )
             run.folder.add_metrics(metrics)
 

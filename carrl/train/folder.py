@@ -112,7 +112,7 @@ class RunFolder:
         """Logs how learning goes after the transitions logged so far."""
         if self._recorder is not None:
             self._recorder.write_metrics(metrics)
-        self._add_scalars("training", metrics.frame, metrics._asdict())
+        self._add_scalars("training", metrics.frame, metrics.row())
 
     def flush(self) -> None:
         """Hands what was logged to the operating system, where it outlives this process."""

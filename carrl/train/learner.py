@@ -64,7 +64,7 @@ class Learner:
         self._compiles = compiled
         self._frames_per_update = frames_per_update
         self._frames_waiting = 0
-        self._native: CompiledUpdate | None = None
+        self._native: list[CompiledUpdate] = []
         self._kind: str | None = None if compiled else EAGER  # not known before it was tried
         self.updates = 0
         self.first_update_at: float | None = None
@@ -125,17 +125,20 @@ class Learner:
         losses, sampled = [], []
         storage, sampler, size = self._buffer.storage, self._buffer.sampler, self._buffer.batch_size
         for number, minibatch in enumerate(sampler.minibatches(storage, count, size), self.updates):
-            self._algorithm.prepare(number)
-            if self._compiles and self._native is None and number > 0:
+            self._algorithm.prepare(number, size)
+            if self._compiles and not self._native and number > 0:
                 self._try_to_compile()
             items, weights = minibatch.items, minibatch.weights
-            result = self._native(items, weights) if self._native else self._update_eagerly(minibatch)
+            if self._native:
+                result = self._native[self._algorithm.kind_of(number)](items, weights)
+            else:
+                result = self._update_eagerly(minibatch)
             self.losses = result.losses
             if weights is not None and result.td_errors is not None:
                 sampler.set_priorities(items, result.td_errors.sqrt())
             losses.append(self.losses)
             sampled.append(items)
-            if self.first_update_at is None and (self._native is not None or not self._compiles):
+            if self.first_update_at is None and (self._native or not self._compiles):
                 self.first_update_at = time.monotonic()
         self._note_divergences(torch.stack(losses), sampled)
         self.updates += count
@@ -161,9 +164,10 @@ class Learner:
         self._is_compiling = True
         buffer = self._buffer
         try:
-            self._native = CompiledUpdate(
-                self._algorithm.functional(), memory_of(buffer), buffer.batch_size, buffer.sampler.is_weighted
-            )
+            memory, weighted = memory_of(buffer), buffer.sampler.is_weighted
+            self._native = [
+                CompiledUpdate(update, memory, buffer.batch_size, weighted) for update in self._algorithm.functional()
+            ]
         except CompilationError as error:
             if not self._is_interrupted:
                 _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
@@ -172,7 +176,7 @@ class Learner:
             self._is_compiling = False
         if self._is_interrupted:  # torchrl 0.14 makes an error of its own of a KeyboardInterrupt that is raised in it
             raise KeyboardInterrupt
-        self._note_kind(EAGER if self._native is None else COMPILED)
+        self._note_kind(COMPILED if self._native else EAGER)
 
     def _note_kind(self, kind: str) -> None:
         """Says where updates go on in another way than before, whose numbers differ in their last digits."""

@@ -107,7 +107,7 @@ def make_algorithm(option, target=TARGET):
 def learnt(algorithm, batch=BATCH, updates=300):
     """The values of all states and actions after so many updates, each with the whole batch."""
     for number in range(updates):
-        algorithm.prepare(number)
+        algorithm.prepare(number, len(batch))
         algorithm.update(batch[:, None].clone())
         algorithm.count_steps(1)
     with torch.no_grad():

@@ -72,5 +72,5 @@ def log_path(tmp_path: Path, transitions: Callable[..., TensorDict]) -> Path:
         writer.write_episode(
             Episode(1, 0, 1, 9, 500_000_000, 900_000_000, 400.0, 4, 8, 1, "time limit", (0.5, 0.0, -3.0))
         )
-        writer.write_metrics(Metrics(9, 3, 0.25, 1.5, -2.0, 0.99, 1234.5))
+        writer.write_metrics(Metrics(9, 3, 0.25, 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.99}))
     return path

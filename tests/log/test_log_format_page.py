@@ -7,7 +7,7 @@ import pytest
 
 import carrl
 from carrl.algorithms.dqn.dqn import dqn_columns
-from carrl.log import Episode, Metrics
+from carrl.log.messages import Episode, MetricsFields
 from carrl.log.schema import (
     CHANNELS,
     EPISODES,
@@ -40,7 +40,7 @@ def test_the_page_lists_every_column_with_its_number_and_meaning():
     ]
 
 
-@pytest.mark.parametrize(("topic", "kind"), [(EPISODES, Episode), (METRICS, Metrics)])
+@pytest.mark.parametrize(("topic", "kind"), [(EPISODES, Episode), (METRICS, MetricsFields)])
 def test_the_page_lists_every_field_of_the_small_messages(topic, kind):
     section = PAGE[PAGE.index(f"`{MESSAGE_NAMES[topic]}`, by field") :].split("\n\n")[1]
     numbers = {field.name: field.number for field in small_message_class(topic).DESCRIPTOR.fields}

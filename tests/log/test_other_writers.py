@@ -55,7 +55,7 @@ def second_log(tmp_path, transitions):
     with LogWriter(path, schema=make_schema(), attachments=attachments, metadata={"track": "ring"}) as writer:
         writer.write(transitions(3, seed=9))
         writer.write_episode(Episode(0, 0, 0, 3, 0, 300_000_000, 1.0, 3, 0, 0, "collision", (0.0, 0.0, 0.0)))
-        writer.write_metrics(Metrics(3, 1, 0.5, 0.5, 0.5, 0.5, 500.0))
+        writer.write_metrics(Metrics(3, 1, 0.5, 500.0, {"td_error": 0.5, "action_value": 0.5, "epsilon": 0.5}))
     return path
 
 

@@ -104,7 +104,9 @@ def test_episodes_and_metrics_come_back_as_they_were_written(log_path):
         Episode(0, 2, 0, 5, 0, 500_000_000, -149.5, 5, 1, 0, "collision", (1.0, -2.5, 0.75)),
         Episode(1, 0, 1, 9, 500_000_000, 900_000_000, 400.0, 4, 8, 1, "time limit", (0.5, 0.0, -3.0)),
     ]
-    assert read_metrics(log_path) == [Metrics(9, 3, 0.25, 1.5, -2.0, 0.99, 1234.5)]
+    assert read_metrics(log_path) == [
+        Metrics(9, 3, 0.25, 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.99})
+    ]
 
 
 def test_an_attachment_is_read_back(log_path):
@@ -304,6 +306,6 @@ def test_an_index_that_names_one_chunk_many_times_is_refused(tmp_path, log_path,
 
     monkeypatch.setattr(McapFile, "finish", with_every_chunk_twice)
     with LogWriter(tmp_path / "a.mcap", schema=make_schema(), attachments={}, metadata={}) as writer:
-        writer.write_metrics(Metrics(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        writer.write_metrics(Metrics(0, 0, 0.0, 0.0, {"td_error": 0.0, "action_value": 0.0, "epsilon": 0.0}))
     with pytest.raises(DamagedLogError, match="its index tells of chunks that overlap"):
         read_summary(tmp_path / "a.mcap")

@@ -42,7 +42,9 @@ def write_log(path, transitions, *, seed=0, batches=BATCHES, attachments=None):
             writer.write_episode(
                 Episode(number, 0, 0, number, 0, end, -1.5, BATCH, 1, 0, "collision", (1.0, seed, number))
             )
-            writer.write_metrics(Metrics(number, seed, 0.25, 1.5, -2.0, 0.99, 1234.5))
+            writer.write_metrics(
+                Metrics(number, seed, 0.25, 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.99})
+            )
             writer.flush()
     return read_sample(path)
 
@@ -185,10 +187,10 @@ def test_messages_keep_their_order_where_an_episode_ends_after_the_metrics_that_
         batch = transitions(3)
         end = int(batch["time_ns"][-1])
         writer.write(batch)
-        writer.write_metrics(Metrics(1, 0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        writer.write_metrics(Metrics(1, 0, 0.0, 0.0, {"td_error": 0.0, "action_value": 0.0, "epsilon": 0.0}))
         writer.write_episode(Episode(0, 0, 0, 3, 0, end + 1, 0.0, 3, 0, 0, "collision", (0.0, 0.0, 0.0)))
         writer.flush()
-        writer.write_metrics(Metrics(2, 0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        writer.write_metrics(Metrics(2, 0, 0.0, 0.0, {"td_error": 0.0, "action_value": 0.0, "epsilon": 0.0}))
     _, found = recovered((tmp_path / "a.mcap").read_bytes())
     assert found.metrics == read_contents(tmp_path / "a.mcap").metrics
 
@@ -215,7 +217,9 @@ def test_pieces_of_another_run_are_left_out(own, other, recovered):
 def test_messages_of_another_run_in_one_and_the_same_chunk_are_left_out(own, recovered):
     content = RecordBuilder()
     for run in (int(own.says.run, 16), 7):
-        message = encode_small(METRICS, run, Metrics(9, run % 5, 0.25, 1.5, -2.0, 0.99, 1234.5))
+        message = encode_small(
+            METRICS, run, Metrics(9, run % 5, 0.25, 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.99})
+        )
         Message(CHANNELS[METRICS], 10**12, message, 10**12, sequence=BATCHES + run % 2).write(content)
     _, found = recovered(own.content + chunk_record(bytes(content.end())))
     assert len(found.metrics) == BATCHES + 1
@@ -317,7 +321,11 @@ def test_a_piece_within_a_damaged_record_is_found(own, recovered):
 
 def test_a_chunk_without_a_crc_is_not_trusted(own, recovered):
     content = RecordBuilder()
-    message = encode_small(METRICS, int(own.says.run, 16), Metrics(9, 3, 0.25, 1.5, -2.0, 0.99, 1234.5))
+    message = encode_small(
+        METRICS,
+        int(own.says.run, 16),
+        Metrics(9, 3, 0.25, 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.99}),
+    )
     Message(CHANNELS[METRICS], 10**12, message, 10**12, sequence=BATCHES).write(content)
     unpacked = bytes(content.end())
     assert len(recovered(own.content + chunk_record(unpacked))[1].metrics) == BATCHES + 1

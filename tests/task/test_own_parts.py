@@ -15,6 +15,7 @@ from carrl.evaluation.rollout import rollout_laps
 from carrl.task.observation import Observation, Part
 from carrl.task.reward import LAP_TERMS, Collision, Gate, Proximity, Reward, Shaping, Steering
 from carrl.task.task import make_task
+from carrl.task.trial import try_terms
 from tests.sim.vehicles import Interpreted, Odometer
 from tests.worlds import make_world
 
@@ -249,7 +250,7 @@ class WrongTerm:
 def test_a_term_that_gives_something_wrong_is_named_before_training(parts, message):
     task = make_task("oval", 4, **parts)
     with pytest.raises(ConfigError, match=message):
-        task.try_terms()
+        try_terms(task)
 
 
 def test_an_observation_term_without_a_width_is_named():

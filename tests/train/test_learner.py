@@ -20,7 +20,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there i
 
 def make_pipeline(*overrides):
     """A pipeline whose buffer holds 800 transitions."""
-    soft = any(override.startswith("target_updater=") for override in overrides)
+    soft = any(override.startswith(("target_updater=", "loss=sac", "loss=td3", "loss=ddpg")) for override in overrides)
     period = [] if soft else ["target_updater.period=50"]
     pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", *period, *overrides))
     replicates = len(pipeline.algorithm.replicates)

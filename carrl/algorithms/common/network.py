@@ -277,15 +277,15 @@ def predicts_distribution(network: QNetwork) -> bool:
     return isinstance(network.layers, ReturnDistribution)
 
 
-def check_hidden_sizes(hidden_sizes: Sequence[int], observation_size: int, outputs: int) -> None:
+def check_hidden_sizes(hidden_sizes: Sequence[int], inputs: int, outputs: int, key: str = "hidden_sizes") -> None:
     """Raises ConfigError for a hidden layer without units, and for too many layers or weights."""
     if any(size < 1 for size in hidden_sizes):
-        raise ConfigError(f"network.hidden_sizes is {shown(list(hidden_sizes))}; every layer needs at least 1 unit")
-    sizes = [observation_size, *hidden_sizes, outputs]
+        raise ConfigError(f"network.{key} is {shown(list(hidden_sizes))}; every layer needs at least 1 unit")
+    sizes = [inputs, *hidden_sizes, outputs]
     weights = sum(before * after for before, after in pairwise(sizes))
     if len(hidden_sizes) > MOST_LAYERS or weights > MOST_WEIGHTS:
         raise ConfigError(
-            f"network.hidden_sizes has {len(hidden_sizes)} layers with {weights} weights; "
+            f"network.{key} has {len(hidden_sizes)} layers with {weights} weights; "
             f"it may have at most {MOST_LAYERS} layers and {MOST_WEIGHTS} weights"
         )
 

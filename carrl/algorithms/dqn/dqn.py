@@ -3,21 +3,23 @@
 Shapes: `A` replicates, `N` transitions of a minibatch, `F` of any number.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torch.func import grad_and_value
 from torchrl.data import Categorical
 from torchrl.objectives import DQNLoss
 
 from carrl.algorithms.algorithm import Algorithm, Figures, FunctionalUpdate, Policy, Tree, UpdateResult
+from carrl.algorithms.common.measuring import thinned
 from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.common.optimizer import Adam, GradientClipping, LearningRateDecay, SoftTargetUpdate, TargetUpdater
+from carrl.algorithms.common.parts import check_parts
+from carrl.algorithms.common.stand_ins import standing_in
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import ConservativeDQNLoss
 from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyPolicy
@@ -26,9 +28,6 @@ from carrl.errors import ConfigError
 from carrl.log.schema import Column
 from carrl.task.random_streams import part_generator
 from carrl.task.task import World
-
-MOST_MEASURED = 256
-"""Of more transitions than these an even sample is measured, so that it takes little time."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ class DQN(Algorithm):
             replicate.target_updater.step(steps)
         self.exploration.step(steps)
 
-    def prepare(self, update: int) -> None:
+    def prepare(self, update: int, batch_size: int) -> None:
         """Sets learning rates and draws the noise of weights."""
         for replicate, rates in zip(self.replicates, self._rates, strict=True):
             if replicate.learning_rate is not None:
@@ -115,7 +114,7 @@ class DQN(Algorithm):
             td_errors.append(transitions["td_error"][:, 0])
         return UpdateResult(torch.stack(losses), torch.stack(td_errors, dim=1))
 
-    def functional(self) -> FunctionalUpdate:
+    def functional(self) -> list[FunctionalUpdate]:
         """The same loss, differentiated by torch.func, and the same Adam, clipping and soft update."""
         one = self.replicates[0]
         adam, clipping, loss = Adam.of(one.optimizer), one.clipping, one.loss
@@ -129,7 +128,7 @@ class DQN(Algorithm):
                     "value_network_params": {**parameters, **read["buffers"]},
                     "target_value_network_params": {**state["target"], **read["target_buffers"]},
                 }
-                with _networks_of(loss, networks):
+                with standing_in(loss, networks):
                     value = loss(batch)["loss"]
                 return value, batch["td_error"][:, 0].detach()
 
@@ -143,7 +142,7 @@ class DQN(Algorithm):
             return changes, {"loss": value, "td_error": td_error}
 
         constants = [{}] * len(self.replicates) if one.noise else [_buffers_of(each.loss) for each in self.replicates]
-        return FunctionalUpdate(function, [_state_of(each) for each in self.replicates], constants, self._inputs)
+        return [FunctionalUpdate(function, [_state_of(each) for each in self.replicates], constants, self._inputs)]
 
     def _inputs(self) -> list[Tree]:
         """Learning rates that change, and the noise of weights."""
@@ -229,7 +228,7 @@ class DQN(Algorithm):
 
 def _td_error(replicate: Replicate, transitions: TensorDictBase) -> float:
     """The mean absolute TD error on some transitions [F], as the loss defines it."""
-    sample = transitions[:: -(-len(transitions) // MOST_MEASURED)].clone(recurse=False)
+    sample = thinned(transitions)
     with torch.no_grad():
         replicate.loss(sample)  # which notes the squared errors as priorities
     return sample["td_error"].sqrt().mean().item()
@@ -253,18 +252,6 @@ def _buffers_of(loss: DQNLoss) -> dict[str, Any]:
     return {"buffers": {key: trained[key] for key in keys}, "target_buffers": {key: target[key] for key in keys}}
 
 
-@contextmanager
-def _networks_of(loss: DQNLoss, networks: Mapping[str, Tree]) -> Iterator[None]:
-    """Lets the loss compute with these tensors; `torch.func.functional_call` on a LossModule raises in torchrl 0.14."""
-    own = {name: loss._modules[name] for name in networks}
-    try:
-        for name, tensors in networks.items():
-            loss._modules[name] = TensorDict(dict(tensors), [])
-        yield
-    finally:
-        loss._modules.update(own)
-
-
 def dqn_columns(action_names: Sequence[str]) -> tuple[Column, ...]:
     """What DQN has to say of a transition."""
     names = tuple(action_names)
@@ -275,6 +262,13 @@ def dqn_columns(action_names: Sequence[str]) -> tuple[Column, ...]:
     )
 
 
+_PARTS = {
+    "loss": "another loss, or algorithm=actor_critic",
+    "network": "network=paper",
+    "exploration": "exploration=paper",
+}
+
+
 @dataclass(frozen=True)
 class DQNRecipe:
     """Makes `DQN` of a configuration's network, loss, target_updater, optimizer, exploration and their like."""
@@ -283,8 +277,9 @@ class DQNRecipe:
         """The algorithm with a replicate for each seed.
 
         Raises:
-            ConfigError: a part refuses its values.
+            ConfigError: a part refuses its values, or is that of another algorithm.
         """
+        check_parts(config, _PARTS, actor_critic=False)
         replicates = [self._replicate(config, world, seed, device) for seed in seeds]
         exploration: EpsilonGreedy = build_node(
             "exploration",
@@ -324,7 +319,8 @@ class DQNRecipe:
         spec = world.action.spec
         if not isinstance(spec, Categorical):
             raise ConfigError(
-                "the network has a value for each action; set an action of discrete choices, such as steer3"
+                "DQN has a value for each action, and action is made of numbers; set an action of discrete choices, "
+                "such as steer3, or loss=sac"
             )
         network: QNetwork = build_node(
             "network",

@@ -11,15 +11,14 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor, nn
-from torch.func import functional_call
+from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule
 
 from carrl.algorithms.algorithm import CollectPolicy
-from carrl.algorithms.common.compiled_update import stack_in_place
-from carrl.algorithms.common.network import Power, QNetwork
+from carrl.algorithms.common.network import QNetwork
+from carrl.algorithms.common.stacked import StackedLayers
 from carrl.errors import ConfigError
 from carrl.task.random_streams import restore, states_of
 
@@ -210,39 +209,11 @@ class GreedyPolicy(TensorDictModuleBase):
 
     def __init__(self, networks: Sequence[QNetwork]) -> None:
         super().__init__()
-        layers = [network.layers for network in networks]
-        parameters = [dict(each.named_parameters()) | dict(each.named_buffers()) for each in layers]
-        self._stacked = {name: stack_in_place([of_one[name] for of_one in parameters]) for name in parameters[0]}
-        self.layers = layers[0]  # whose values the stacked ones replace
-        self.replicates = len(networks)
-        self._is_layered = isinstance(self.layers, nn.Sequential) and all(map(_is_simple, self.layers))
-
-    @property
-    def weights(self) -> Mapping[str, Tensor]:
-        """Of all networks, stacked, [A, ...], by name."""
-        return self._stacked
-
-    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
-        """Copies these, by the same names and of the same shapes, into the networks."""
-        for name, own in self._stacked.items():
-            own.copy_(weights[name])
+        self.layers = StackedLayers([network.layers for network in networks])
 
     def action_values(self, observation: Tensor) -> Tensor:
         """The value of every action, [B, K]: observations [B, O] as the environment gives them."""
-        by_replicate = observation.view(self.replicates, -1, observation.shape[-1])
-        if self._is_layered:
-            return self._layer_by_layer(by_replicate).flatten(0, 1)
-        compute = torch.vmap(lambda own, observed: functional_call(self.layers, own, (observed,)))
-        return compute(self._stacked, by_replicate).flatten(0, 1)
-
-    def _layer_by_layer(self, values: Tensor) -> Tensor:
-        """What vmap would compute, [A, N, O] to [A, N, K], in a tenth of the time."""
-        for name, layer in self.layers.named_children():
-            if isinstance(layer, nn.Linear):
-                weight, bias = self._stacked[f"{name}.weight"], self._stacked[f"{name}.bias"]
-                values = torch.baddbmm(bias[:, None], values, weight.mT)
-            else:
-                values = layer(values)
+        values: Tensor = self.layers(observation)
         return values
 
     def actions(self, observation: Tensor) -> Tensor:
@@ -257,13 +228,6 @@ class GreedyPolicy(TensorDictModuleBase):
         tensordict["chosen_action_value"] = values.gather(-1, action[:, None])
         tensordict["action"] = action
         return tensordict
-
-
-def _is_simple(layer: nn.Module) -> bool:
-    """Whether a layer is linear and no more than that, or does the same to each value."""
-    return (type(layer) is nn.Linear and layer.bias is not None) or isinstance(
-        layer, nn.ReLU | nn.Tanh | nn.ELU | Power
-    )
 
 
 class ExploringPolicy(CollectPolicy):
@@ -287,10 +251,10 @@ class ExploringPolicy(CollectPolicy):
 
     def shared_state(self) -> dict[str, Any]:
         """The networks' weights, and the env steps by which epsilon falls."""
-        weights = {name: weight.cpu() for name, weight in self.greedy.weights.items()}
+        weights = {name: weight.cpu() for name, weight in self.greedy.layers.weights.items()}
         return {"weights": weights, "env_steps": int(self.exploration.env_steps)}
 
     def load_shared_state(self, state: Mapping[str, Any]) -> None:
         """Acts from now on as the policy with this state."""
-        self.greedy.load_weights(state["weights"])
+        self.greedy.layers.load_weights(state["weights"])
         self.exploration.step(state["env_steps"] - int(self.exploration.env_steps))

@@ -26,6 +26,7 @@ from carrl.log.schema import EPISODES, MESSAGE_NAMES, METRICS, TRANSITIONS
 from carrl.log.trace import read_scene
 
 _LABELS = {"action_value": "Q"}
+_FIGURES = {"td_error": "TD error", "action_value": "Q"}
 _UNSHOWN = ("epsilon", "exploratory")
 """Columns of the algorithm that have no place of their own in a line."""
 
@@ -58,7 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _json_lines(log: Log, topic: str, selection: Selection) -> Iterator[str]:
     if topic == TRANSITIONS:
         return (json_text(row) for columns in log.batches(selection) for row in transition_rows(columns, log.schema))
-    return (json_text(message._asdict()) for message in _small_messages(log, topic, selection))
+    small = _small_messages(log, topic, selection)
+    return (json_text(each.row() if isinstance(each, Metrics) else each._asdict()) for each in small)
 
 
 def _text_lines(log: Log, topic: str, selection: Selection) -> Iterator[str]:
@@ -136,7 +138,7 @@ def _episode_line(episode: Episode) -> str:
 def _metrics_line(metrics: Metrics) -> str:
     return (
         f"frame {metrics.frame}: {counted(metrics.updates, 'update')}, loss {metrics.loss:.4g}, "
-        f"TD error {metrics.td_error:.4g}, Q {metrics.action_value:.4g}, epsilon {metrics.epsilon:.4g}, "
+        f"{''.join(f'{_FIGURES.get(name, printable(name))} {value:.4g}, ' for name, value in metrics.figures.items())}"
         f"{metrics.frames_per_second:,.0f} frames/s"
     )
 

@@ -155,7 +155,11 @@ def write_log(path: Path, track_names: tuple[str, ...] = ("square",), scene: Sce
                 writer.write_episode(episode)
             if index % 6 == 5:
                 loss = np.nan if index == 5 else 1.0
-                writer.write_metrics(Metrics(3 * (index + 1), index, loss, 0.5, 10.0, 0.1, 1000.0))
+                writer.write_metrics(
+                    Metrics(
+                        3 * (index + 1), index, loss, 1000.0, {"td_error": 0.5, "action_value": 10.0, "epsilon": 0.1}
+                    )
+                )
     return path
 
 
