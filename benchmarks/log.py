@@ -20,7 +20,7 @@ from carrl.algorithms.common.network import make_q_network
 from carrl.algorithms.dqn.dqn import dqn_columns
 from carrl.data.source import EpisodeTracker
 from carrl.env.track_env import TrackEnv
-from carrl.evaluation.rollout import rule_policy
+from carrl.evaluation.baselines import rule_policy
 from carrl.log import load
 from carrl.log.messages import Episode
 from carrl.log.writer import LogWriter

@@ -17,7 +17,8 @@ from typing import NamedTuple
 from benchmarks import figures
 from benchmarks.options import Parser, positive, tell
 from carrl.errors import CarrlError, TrackError
-from carrl.evaluation.rollout import rollout_laps, rule_policy
+from carrl.evaluation.baselines import rule_policy
+from carrl.evaluation.rollout import rollout_laps
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import steer3

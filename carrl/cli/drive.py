@@ -70,7 +70,7 @@ class Game:
     def __init__(self, env: GymTrackEnv, fps: float) -> None:
         """Opens the window."""
         self._picture = make_follow_picture(env.task, SIZE)
-        from carrl.render.live import Window
+        from carrl.render.window import Window
 
         self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}")
         self._env, self._fps = env, fps

@@ -23,10 +23,15 @@ HEADER = (
     "95 %",
     "lap reward",
     "steps",
-    "forward share",
-    "switches / 100 m",
-    "near-wall share",
 )
+"""Before the figures of `STYLES` that there are."""
+STYLES = {
+    "forward_share": ("forward share", 100, 0, "%"),
+    "switches_per_100m": ("switches / 100 m", 1, 1, ""),
+    "mean_speed": ("mean speed, m/s", 1, 1, ""),
+    "steering_change": ("steering change", 1, 3, ""),
+}
+"""How a car was driven: heading, scale, digits and unit of each figure."""
 
 Figures = Mapping[str, Any]
 
@@ -76,26 +81,29 @@ def _parser() -> argparse.ArgumentParser:
 def print_evaluation(document: Figures) -> None:
     """Prints a table of the tracks and, of several runs, one of these."""
     tracks, name = document["tracks"], f"{document['policy']} policy"
-    rows = [row for track in tracks for row in _rows(track["track"], track)]
+    everything = [document["all"], *([document["all"]["rule"]] if "rule" in document["all"] else [])]
+    styles = [key for key in STYLES if any(key in figures for figures in everything)]
+    header = (*HEADER, *(STYLES[key][0] for key in styles), "near-wall share")
+    rows = [row for track in tracks for row in _rows(track["track"], track, styles)]
     if len(tracks) > 1:
-        rows += _rows(f"all {len(tracks)} tracks", document["all"])
-    print_table(f"{name} of {document['run']}", ("track", *HEADER), rows)
+        rows += _rows(f"all {len(tracks)} tracks", document["all"], styles)
+    print_table(f"{name} of {document['run']}", ("track", *header), rows)
     runs = document.get("runs", ())
     if runs:
-        print_table(f"{name} of each run, all tracks", ("seed", *HEADER), _rows_of_runs(runs, document["all"]))
+        print_table(f"{name} of each run, all tracks", ("seed", *header), _rows_of_runs(runs, document["all"], styles))
 
 
-def _rows_of_runs(runs: Sequence[Figures], together: Figures) -> list[list[str]]:
-    return [*([str(run["seed"]), *_cells(run["all"])] for run in runs), *_rows("all", together)]
+def _rows_of_runs(runs: Sequence[Figures], together: Figures, styles: Sequence[str]) -> list[list[str]]:
+    return [*([str(run["seed"]), *_cells(run["all"], styles)] for run in runs), *_rows("all", together, styles)]
 
 
-def _rows(name: str, figures: Figures) -> list[list[str]]:
+def _rows(name: str, figures: Figures, styles: Sequence[str]) -> list[list[str]]:
     """A row of the policy's figures and, where they are known, one of the rule's."""
-    rows = [[name, *_cells(figures)]]
-    return [*rows, ["  rule", *_cells(figures["rule"])]] if "rule" in figures else rows
+    rows = [[name, *_cells(figures, styles)]]
+    return [*rows, ["  rule", *_cells(figures["rule"], styles)]] if "rule" in figures else rows
 
 
-def _cells(figures: Figures) -> list[str]:
+def _cells(figures: Figures, styles: Sequence[str]) -> list[str]:
     low, high = figures["intervals"]["completion"]
     least, most = figures["intervals"]["collisions_per_km"]
     return [
@@ -106,13 +114,12 @@ def _cells(figures: Figures) -> list[str]:
         f"{least:.3f}-{most:.3f}",
         f"{figures['lap_reward']:.0f}",
         f"{figures['lap_steps']:.0f}",
-        _mean(figures, "forward_share", 100, 0, "%"),
-        _mean(figures, "switches_per_100m", 1, 1),
+        *(_mean(figures, key, *STYLES[key][1:]) if key in figures else "-" for key in styles),
         f"{figures['near_wall_share']:.1%}",
     ]
 
 
-def _mean(figures: Figures, name: str, scale: float, digits: int, unit: str = "") -> str:
+def _mean(figures: Figures, name: str, scale: float, digits: int, unit: str) -> str:
     """A mean with half the width of its interval, if it has one."""
     interval = figures["intervals"][name]
     text = f"{scale * figures[name]:.{digits}f}"

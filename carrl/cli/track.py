@@ -128,7 +128,7 @@ def _list(arguments: argparse.Namespace) -> int:
 def _show(arguments: argparse.Namespace) -> int:
     from carrl.render import picture_format
     from carrl.render.corridor import draw_corridor
-    from carrl.render.lap import draw_track_map
+    from carrl.render.track_map import draw_track_map
     from carrl.tracks.rings import CorridorError
 
     path = Path(arguments.out or f"{Path(arguments.track).stem}.png")

@@ -15,14 +15,17 @@ from gymnasium.error import InvalidAction
 from torch import Tensor
 
 from carrl.errors import ConfigError, shown
-from carrl.sim.vehicle import Vehicle
+from carrl.sim.simulator import CarState
+from carrl.sim.vehicle import Rectangle, Vehicle
 from carrl.task.action import ActionMap, in_words
 from carrl.task.checks import seed_number
+from carrl.task.episode import EpisodeState
 from carrl.task.task import UNLIMITED, EpisodeStart, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.live import CarLook, CarSnapshot, FollowPicture, Window
+    from carrl.render.live import CarLook, CarSnapshot, FollowPicture
+    from carrl.render.window import Window
 
 
 class ActionError(ConfigError, InvalidAction):
@@ -220,12 +223,13 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             next_gate=int(cars.next_gate),
             gates_passed=int(cars.gates_passed),
             step=int(state.step),
-            steer=float(self.task.steer(state.last_action)),
+            steer=self._wheel(state),
             action=self._action_name(state.last_action),
             episode_return=self._return,
             collided=self._collided,
             trail=list(self._trail),
             track=int(cars.track),
+            speed=self._state_value(cars, "speed"),
         )
 
     def render(self) -> np.ndarray | None:
@@ -240,7 +244,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         picture = self._picture.draw(self.snapshot())
         if self.render_mode == "rgb_array":
             return picture
-        from carrl.render.live import Window
+        from carrl.render.window import Window
 
         self._window = self._window or Window(self._picture.size, "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
@@ -261,6 +265,17 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             begin += part.width
         ranges = self.task.simulator.sense(now.state.cars)
         return ranges.double().numpy()[0] / self.task.simulator.sensor.max_range
+
+    def _state_value(self, cars: CarState, name: str) -> float | None:
+        names = self.task.simulator.vehicle.state_names
+        return float(cars.state[0, names.index(name)]) if name in names else None
+
+    def _wheel(self, state: EpisodeState) -> float:
+        """How far a picture is to turn the front wheels: as they stand, or where that is not known as they are told."""
+        from carrl.render.car import wheel_turn
+
+        steering = self._state_value(state.cars, "steering")
+        return float(self.task.steer(state.last_action)) if steering is None else wheel_turn(steering)
 
     def _action_name(self, action: torch.Tensor) -> str:
         if self.task.action.names:
@@ -315,11 +330,13 @@ def make_follow_picture(task: Task, size: tuple[int, int] | None = None) -> "Fol
 def _look(task: Task) -> "CarLook":
     from carrl.render.live import CarLook
 
-    simulator = task.simulator
+    simulator, body = task.simulator, task.simulator.vehicle.body
     return CarLook(
-        body_radius=simulator.vehicle.body_radius,
+        body_radius=body.half_width,
         speed=simulator.vehicle.step_length / simulator.vehicle.time_step,
         time_step=simulator.vehicle.time_step,
         sensor_angles=simulator.sensor_angles.double().numpy(),
         sensor_range=simulator.sensor.max_range,
+        body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
+        sensor_mount=simulator.sensor.mount,
     )

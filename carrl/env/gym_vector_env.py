@@ -30,7 +30,8 @@ from carrl.task.task import EpisodeStart, StepResult, Task, Tracks, make_task
 from carrl.tracks.track import Track
 
 if TYPE_CHECKING:
-    from carrl.render.live import FleetPicture, Window
+    from carrl.render.live import FleetPicture
+    from carrl.render.window import Window
 
 Bools = NDArray[np.bool_]
 Step = tuple[np.ndarray, np.ndarray, Bools, Bools, dict[str, Any]]
@@ -167,7 +168,7 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         picture = self._picture.draw(self._now.state.cars.pose.double().numpy()[shown], self._ended[shown], title)
         if self.render_mode == "rgb_array":
             return (picture,)
-        from carrl.render.live import Window
+        from carrl.render.window import Window
 
         self._window = self._window or Window((picture.shape[1], picture.shape[0]), "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
@@ -279,4 +280,4 @@ def _finals(task: Task, now: EpisodeStart, terms: Tensor, ended: Bools) -> dict[
 def _make_fleet_picture(task: Task) -> "FleetPicture":
     from carrl.render.live import FleetPicture
 
-    return FleetPicture(task.simulator.track, task.simulator.vehicle.body_radius)
+    return FleetPicture(task.simulator.track, task.simulator.vehicle.body.half_width)

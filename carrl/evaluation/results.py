@@ -4,19 +4,63 @@ Shapes: `T` steps, `R` rays.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-MEANS = ("progress", "lap_reward", "lap_steps", "forward_share", "switches_per_100m", "near_wall_share")
-"""Measures of a drive that are averaged."""
+MEANS = (
+    *("progress", "lap_reward", "lap_steps", "forward_share", "switches_per_100m"),
+    *("mean_speed", "steering_change", "near_wall_share"),
+)
+"""Measures of a drive that are averaged, as far as it has them."""
+TRAJECTORY = ("poses", "ranges", "actions", "speeds")
 CONFIDENCE = 0.95
+LEAST_KM = 1e-3
+"""By which a count of collisions is divided at least: a car may stand still."""
 
 Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DrivingStyle:
+    """A measure of how a car was driven, which some drives have.
+
+    Attributes:
+        key: its name among a drive's measures.
+        name: for readers.
+        form: how a value is written.
+    """
+
+    key: str
+    name: str
+    form: str
+
+    def written(self, drive: Mapping[str, Any]) -> str:
+        """The value of a drive's measures, "-" if there is none."""
+        return f"{drive[self.key]:{self.form}}" if self.key in drive else "-"
+
+
+BY_NAME = (
+    DrivingStyle("forward_share", "forward share", ".0%"),
+    DrivingStyle("switches_per_100m", "switches / 100 m", ".1f"),
+    DrivingStyle("reversals", "reversals", "d"),
+)
+"""Where actions have names."""
+BY_NUMBER = (
+    DrivingStyle("mean_speed", "mean speed, m/s", ".1f"),
+    DrivingStyle("steering_change", "steering change", ".3f"),
+)
+"""Where speed varies, and where actions are numbers."""
+
+
+def styles_of(drives: Iterable[Mapping[str, Any]]) -> tuple[DrivingStyle, ...]:
+    """Those that any of the drives' measures have; `BY_NAME` of none."""
+    keys = {key for drive in drives for key in drive}
+    return tuple(style for style in (*BY_NAME, *BY_NUMBER) if style.key in keys) or BY_NAME
 
 
 @dataclass(frozen=True)
@@ -28,17 +72,21 @@ class Rollout:
         lap_completed: all gates passed in order.
         collided: it touched a wall.
         progress: share of the lap driven, in [0, 1].
-        lap_reward: sum of the paper's rewards.
+        lap_reward: sum of the paper's rewards; where nothing is paid for gates, of all rewards.
         steering_reward: sum of what turns and switches earn beside it.
         lap_steps: steps driven.
-        forward_share: share of the steps with the action forward.
+        forward_share: share of the steps with the action forward; None where actions are numbers, as are the next two.
         switches_per_100m: how often the action changed, per 100 m driven.
         reversals: how often left followed right or right followed left, without a step forward between.
         near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
         poses: before each step and after the last, [T + 1, 3]; empty where the trajectory was not kept, as are the
             next two.
         ranges: at each pose, [T + 1, R], m.
-        actions: [T].
+        actions: [T], or [T, C] where they are numbers.
+        steering_change: mean |change of the control `steer`| in a step; None unless actions are numbers.
+        mean_speed: m/s; None of a car whose speed never varies, as are the next two.
+        distance: driven, m.
+        speeds: at each pose, [T + 1], m/s.
     """
 
     start: float
@@ -48,23 +96,26 @@ class Rollout:
     lap_reward: float
     steering_reward: float
     lap_steps: int
-    forward_share: float
-    switches_per_100m: float
-    reversals: int
+    forward_share: float | None
+    switches_per_100m: float | None
+    reversals: int | None
     near_wall_share: float
     poses: np.ndarray = field(repr=False)
     ranges: np.ndarray = field(repr=False)
     actions: np.ndarray = field(repr=False)
+    steering_change: float | None = None
+    mean_speed: float | None = None
+    distance: float | None = None
+    speeds: np.ndarray | None = field(default=None, repr=False)
 
     def measures(self) -> dict[str, Any]:
         """The figures without the trajectory, ready for JSON."""
-        arrays = ("poses", "ranges", "actions")
-        return {name: value for name, value in vars(self).items() if name not in arrays}
+        return {name: value for name, value in vars(self).items() if name not in TRAJECTORY and value is not None}
 
     def with_trajectory(self, kept: bool) -> "Rollout":
         """The same with a trajectory of its own, or without one: no more memory than that is held."""
-        end = None if kept else 0
-        return replace(self, **{name: getattr(self, name)[:end].copy() for name in ("poses", "ranges", "actions")})
+        end, arrays = None if kept else 0, {name: getattr(self, name) for name in TRAJECTORY}
+        return replace(self, **{name: array[:end].copy() for name, array in arrays.items() if array is not None})
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, arrays as tensors."""
@@ -80,7 +131,9 @@ class Rollout:
         Raises:
             ValueError: it is no such state.
         """
-        if not isinstance(state, dict) or state.keys() != cls.__dataclass_fields__.keys():
+        every = fields(cls)
+        needed = {each.name for each in every if each.default is MISSING}  # older states lack the others
+        if not isinstance(state, dict) or not needed <= state.keys() <= {each.name for each in every}:
             raise ValueError("a drive lacks some of its measures, or has others")
         values: dict[str, Any] = {
             name: value.numpy() if isinstance(value, Tensor) else value for name, value in state.items()
@@ -122,8 +175,13 @@ class EvaluationResult:
 
     @property
     def quality(self) -> tuple[float, ...]:
-        """Orders trials: complete laps first, then by progress, reward and how they steer."""
-        others = ("progress", "lap_reward", "steering_reward", "forward_share")
+        """Orders trials: by complete laps, progress, reward and how they steer; of a car whose speed varies by that."""
+        first = self.rollouts[0]
+        others: tuple[str, ...] = ("progress", "lap_reward", "steering_reward", "forward_share")
+        if first.mean_speed is not None:
+            others = ("progress", "mean_speed")
+        elif first.forward_share is None:
+            others = others[:-1]
         return (self.laps_completed, *(self._mean(name) for name in others))
 
     def measures(self) -> dict[str, Any]:
@@ -134,7 +192,7 @@ class EvaluationResult:
         means = {name: self._mean(name) for name in first}
         return {
             **means,
-            **{name: round(means[name]) for name in ("lap_steps", "reversals")},
+            **{name: round(means[name]) for name in ("lap_steps", "reversals") if name in means},
             "lap_completed": self.lap_completed,
             "collided": any(drive.collided for drive in self.rollouts),
             "circuits": len(self.rollouts),
@@ -163,23 +221,25 @@ def aggregate(runs: Sequence[Sequence[Rollout]], step_length: float) -> dict[str
 
     Args:
         runs: the drives of each run, at least one of each.
-        step_length: metres that a car drives in a step.
+        step_length: metres that a car drives in a step, if its speed never varies.
     """
     drives = [drive for run in runs for drive in run]
     laps, collisions = sum(drive.lap_completed for drive in drives), sum(drive.collided for drive in drives)
-    driven_km = sum(drive.lap_steps for drive in drives) * step_length / 1000
+    steps = sum(drive.lap_steps for drive in drives if drive.distance is None)
+    driven_km = (steps * step_length + math.fsum(drive.distance or 0.0 for drive in drives)) / 1000
+    means = [name for name in MEANS if getattr(drives[0], name) is not None]
     groups = runs if len(runs) > 1 else [[drive] for drive in drives]
     return {
         "starts": len(drives),
         "laps_completed": laps,
-        **{name: _mean(drives, name) for name in MEANS},
+        **{name: _mean(drives, name) for name in means},
         "collisions": collisions,
         "driven_km": driven_km,
-        "collisions_per_km": collisions / driven_km,
+        "collisions_per_km": collisions / max(driven_km, LEAST_KM),
         "intervals": {
             "completion": share_interval(laps, len(drives)),
-            "collisions_per_km": rate_interval(collisions, driven_km),
-            **{name: mean_interval([_mean(group, name) for group in groups]) for name in MEANS},
+            "collisions_per_km": rate_interval(collisions, max(driven_km, LEAST_KM)),
+            **{name: mean_interval([_mean(group, name) for group in groups]) for name in means},
         },
     }
 

@@ -5,19 +5,17 @@ Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torchrl.data import Categorical
 
 from carrl.errors import ConfigError, shown
 from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
 from carrl.sim.simulator import CarState, Simulator
-from carrl.task.action import ActionMap, steer3
 from carrl.task.checks import whole_number
-from carrl.task.observation import rays_only
 from carrl.task.reward import LAP_TERMS
 from carrl.task.task import MOST_CARS, Task, World
 from carrl.tracks.track import Track
@@ -27,43 +25,15 @@ Policy = Callable[[Tensor], Tensor]
 
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
+SLOW = 0.2
+"""Of its top speed: with so much of it a car whose speed varies has to drive these laps, corners and all."""
 
 MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
-NO_POSES, NO_ACTIONS = np.empty((0, 0), dtype=np.float32), np.empty(0, dtype=np.int64)
+NO_POSES, NO_ACTIONS, NO_SPEEDS = np.empty((0, 0), np.float32), np.empty(0, np.int64), np.empty(0, np.float32)
 """The trajectory of a drive whose own is not kept."""
 CARS_AT_ONCE = 256
 """As many tracks are driven together as this many cars allow, but at least one, so that memory stays bounded."""
-
-
-def rule_world(world: World) -> World:
-    """The same world for the hand-written rule, which reads the rays alone and has the paper's actions."""
-    return replace(world, observation=rays_only(), action=steer3())
-
-
-def rule_policy(readings: Tensor) -> Tensor:
-    """The hand-written baseline: steer to the side whose rays are longer in sum, unless they differ by little.
-
-    Its actions are those of `steer3`: 0 straight on, 1 left, 2 right.
-    """
-    half = readings.shape[1] // 2
-    to_left = readings[:, -half:].sum(-1) - readings[:, :half].sum(-1)
-    dead_band = 0.05
-    turn = torch.where(to_left > 0, 1, 2)
-    return torch.where(to_left.abs() > dead_band, turn, 0)
-
-
-def random_policy(seed: int, action: ActionMap) -> Policy:
-    """Actions drawn evenly, the same for the same seed."""
-    generator, spec = torch.Generator().manual_seed(seed), action.spec
-
-    def act(observation: Tensor) -> Tensor:
-        cars = len(observation)
-        if isinstance(spec, Categorical):
-            return torch.randint(spec.n, (cars,), generator=generator).to(observation.device)
-        return (2 * torch.rand(cars, *spec.shape, generator=generator) - 1).to(observation.device)
-
-    return act
 
 
 def rollout_laps(
@@ -121,6 +91,7 @@ class _Moment(Rows):
     cars: CarState
     near_wall: Tensor
     collided: Tensor
+    ended: Tensor
     reward_terms: Tensor
     action: Tensor
 
@@ -163,8 +134,9 @@ def rollout(
         state, observation = after.state, after.observation
         outcome = after.outcome
         near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(outcome.ranges))
-        moments.append(_Moment(outcome.cars, near_wall, outcome.collided, after.reward_terms, action))
-        driving &= ~(outcome.collided | simulator.has_lapped(outcome.cars)) & (step < limits)
+        ended = outcome.collided | after.terminated
+        moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
+        driving &= ~(ended | simulator.has_lapped(outcome.cars)) & (step < limits)
         if not driving.any():
             break
     return _sum_up(_Moment.stack(moments), limits, task, stations, kept)
@@ -173,12 +145,14 @@ def rollout(
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
     nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
-    return _Moment(cars, nothing, nothing, terms, action)
+    return _Moment(cars, nothing, nothing, nothing, terms, action)
 
 
 def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps after which each car is stopped, [B], int64."""
     lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
+    if "speed" in simulator.vehicle.state_names:
+        lap_steps = lap_steps / SLOW
     return (TIME_LIMIT_LAPS * lap_steps).round().long().to(cars.track.device)[cars.track]
 
 
@@ -201,17 +175,17 @@ def _sum_up(
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None,
 ) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
-    simulator, reward = task.simulator, task.reward
-    ended = course.collided | simulator.has_lapped(course.cars)
+    simulator = task.simulator
+    ended = course.ended | simulator.has_lapped(course.cars)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
-    lap_reward, steering_reward = (reward.total(course.reward_terms[1:], names) for names in (LAP_TERMS, ("steering",)))
+    lap_reward, steering_reward = _earned(course, task)
     steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
     progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
-        driven = steer[1 : steps + 1, car]
-        switched = driven[1:] != driven[:-1]
+        motion = _motion(course.cars[: steps + 1, car], simulator)
+        distance = steps * simulator.vehicle.step_length if motion["distance"] is None else motion["distance"]
         drives.append(
             Rollout(
                 start=stations[car].item(),
@@ -221,10 +195,9 @@ def _sum_up(
                 lap_reward=lap_reward[:steps, car].sum().item(),
                 steering_reward=steering_reward[:steps, car].sum().item(),
                 lap_steps=steps,
-                forward_share=(driven == 0).double().mean().item(),
-                switches_per_100m=100 * switched.sum().item() / (steps * simulator.vehicle.step_length),
-                reversals=int((driven[1:] * driven[:-1] < 0).sum()),
                 near_wall_share=course.near_wall[1 : steps + 1, car].double().mean().item(),
+                **_steering(steer[1 : steps + 1, car], distance, bool(task.action.names)),
+                **motion,
                 poses=NO_POSES,
                 ranges=NO_POSES,
                 actions=NO_ACTIONS,
@@ -235,12 +208,44 @@ def _sum_up(
     return drives
 
 
+def _earned(course: _Moment, task: Task) -> tuple[Tensor, Tensor]:
+    """What the lap and what the steering earned in each step, [T, B] both."""
+    names = task.reward.term_names
+    counted = LAP_TERMS if "gate" in names else names
+    lap, steering = (task.reward.total(course.reward_terms[1:], each) for each in (counted, ("steering",)))
+    return lap, steering
+
+
+def _steering(steer: Tensor, distance: float, named: bool) -> dict[str, Any]:
+    """How the wheel was turned in the steps [T] of so many metres, by actions that have names, or by numbers."""
+    if not named:
+        change = steer.diff().abs().double().mean().item() if len(steer) > 1 else 0.0
+        return {"forward_share": None, "switches_per_100m": None, "reversals": None, "steering_change": change}
+    switched = (steer[1:] != steer[:-1]).sum().item()
+    return {
+        "forward_share": (steer == 0).double().mean().item(),
+        "switches_per_100m": 100 * switched / distance if distance else 0.0,
+        "reversals": int((steer[1:] * steer[:-1] < 0).sum()),
+    }
+
+
+def _motion(cars: CarState, simulator: Simulator) -> dict[str, Any]:
+    """How fast and how far a car drove between these moments [T + 1]; None for one whose speed never varies."""
+    vehicle = simulator.vehicle
+    if "speed" not in vehicle.state_names:
+        return {"mean_speed": None, "distance": None}
+    ways = cars.pose[:, :2].double().diff(dim=0)
+    distance = torch.linalg.vector_norm(ways, dim=-1).sum().item()
+    return {"mean_speed": distance / (len(ways) * vehicle.time_step), "distance": distance, "speeds": NO_SPEEDS}
+
+
 def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> Rollout:
     """A drive with what a picture of it shows: of its own course [T + 1], which may go on after it."""
-    cars = course.cars[: driven.lap_steps + 1]
+    cars, names = course.cars[: driven.lap_steps + 1], simulator.vehicle.state_names
     return replace(
         driven,
         poses=cars.pose.cpu().numpy().copy(),
         ranges=simulator.sense(cars).cpu().numpy(),
         actions=course.action[1 : driven.lap_steps + 1].cpu().numpy().copy(),
+        speeds=cars.state[:, names.index("speed")].cpu().numpy().copy() if "speed" in names else None,
     )

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
@@ -152,9 +152,10 @@ def _plots(scene: EpisodeScene) -> Iterator[_Message]:
         for time_ns, row in zip(times, series.values.tolist(), strict=False):
             yield kind.message(time_ns, f"/{series.name}", row)
     states = scene.states
-    kind = _Fields("Action", **{each.name: each.names for each in states})
+    kind = _Fields("Choice" if scene.controls else "Action", **{each.name: each.names for each in states})
     for time_ns, *values in zip(times, *(each.values.tolist() for each in states), strict=False):
-        yield kind.message(time_ns, "/action", values)
+        if values:
+            yield kind.message(time_ns, "/choice" if scene.controls else "/action", values)
     for event in scene.events:
         time_ns = times[event.row]
         line = fg.Log(timestamp=_stamp(time_ns), level=LEVELS[event.level], message=event.text, name="carrl")
@@ -171,11 +172,12 @@ def _drawings(scene: EpisodeScene) -> Iterator[_Message]:
     poses = [_pose(*pose) for pose in trace.poses.tolist()]
     driven = fg.PosesInFrame(timestamp=_stamp(times[0]), frame_id=WORLD_FRAME, poses=poses)
     yield _Message.of(times[0], "/drive/poses", driven)
-    yield _Message.of(times[0], "/car", _car(times[0], trace.scene.body_radius))
+    yield _Message.of(times[0], "/car", _car(times[0], trace.scene))
     angles = trace.scene.sensor_angles
     ahead = trace.ranges[:, :, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     scans = np.where(scene.hits, trace.ranges, np.inf)  # as is the custom, of a ray that meets nothing
-    rays = np.stack([np.zeros_like(ahead), ahead], axis=2)
+    mount = np.array([trace.scene.sensor_mount, 0.0])
+    rays = np.stack([np.broadcast_to(mount, ahead.shape), mount + ahead], axis=2)
     for time_ns, place, scan, ray in zip(times, trace.poses.tolist(), scans.tolist(), rays, strict=True):
         yield _Message.of(time_ns, "/tf", _transform(time_ns, *place))
         in_world = fg.PoseInFrame(timestamp=_stamp(time_ns), frame_id=WORLD_FRAME, pose=_pose(*place))
@@ -184,20 +186,24 @@ def _drawings(scene: EpisodeScene) -> Iterator[_Message]:
         yield _Message.of(time_ns, "/car/rays", _entity(time_ns, CAR_FRAME, "rays", [_lines(ray, [DARK.ray], 1.5)]))
 
 
-def _car(time_ns: int, radius: float) -> fg.SceneUpdate:
-    """A flat disc with an arrow ahead, which go with the car's frame."""
-    size, colour = fg.Vector3(x=2 * radius, y=2 * radius, z=radius / 2), _colour(DARK.car)
+def _car(time_ns: int, scene: Scene) -> fg.SceneUpdate:
+    """A flat disc or box with an arrow ahead, which go with the car's frame."""
+    radius, colour = scene.body_radius, _colour(DARK.car)
+    length, width = scene.body_size or (2 * radius, 2 * radius)
+    size = fg.Vector3(x=length, y=width, z=radius / 2)
     disc = fg.CylinderPrimitive(pose=_pose(), size=size, bottom_scale=1.0, top_scale=1.0, color=colour)
+    box = fg.CubePrimitive(pose=_pose(), size=size, color=colour)
+    bodies: dict[str, Any] = {"cylinders": [disc]} if scene.body_size is None else {"cubes": [box]}
     arrow = fg.ArrowPrimitive(
         pose=_pose(),
-        shaft_length=3 * radius,
+        shaft_length=length / 2 + 2 * radius,
         shaft_diameter=radius / 2,
         head_length=radius,
         head_diameter=radius,
         color=colour,
     )
     entity = fg.SceneEntity(
-        timestamp=_stamp(time_ns), frame_id=CAR_FRAME, id="car", frame_locked=True, cylinders=[disc], arrows=[arrow]
+        timestamp=_stamp(time_ns), frame_id=CAR_FRAME, id="car", frame_locked=True, arrows=[arrow], **bodies
     )
     return fg.SceneUpdate(entities=[entity])
 
@@ -216,7 +222,12 @@ def _transform(time_ns: int, x: float, y: float, heading: float) -> fg.FrameTran
 def _scan(time_ns: int, ranges: list[float], scene: Scene) -> fg.LaserScan:
     first, last = scene.sensor_angles[[0, -1]].tolist()
     return fg.LaserScan(
-        timestamp=_stamp(time_ns), frame_id=CAR_FRAME, pose=_pose(), start_angle=first, end_angle=last, ranges=ranges
+        timestamp=_stamp(time_ns),
+        frame_id=CAR_FRAME,
+        pose=_pose(scene.sensor_mount),
+        start_angle=first,
+        end_angle=last,
+        ranges=ranges,
     )
 
 

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from carrl.errors import CarrlError
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace
+from carrl.render import MOST_SEEN
+from carrl.render.car import placed
 from carrl.render.colours import DARK, ERROR, INFO, WARNING, Colour, rgb
 from carrl.render.episode import EpisodeScene, Lines, Series, States
 
@@ -145,9 +147,15 @@ class _Episode:
         self._always("car/trail", rr.LineStrips2D.from_fields(radii=_points(1.6), draw_order=21))
 
     def _send_car(self) -> None:
-        """The car's disc, with a dot in it that never gets too small to see, and its heading."""
-        poses, radius, colours = self._trace.poses, self._trace.scene.body_radius, [rgb(DARK.car)]
-        rows, middles = range(len(poses)), poses[:, :2]
+        """The car's disc or rectangle, with a dot in it that never gets too small to see, and its heading."""
+        scene, poses, colours = self._trace.scene, self._trace.poses, [rgb(DARK.car)]
+        rows, middles, radius = range(len(poses)), poses[:, :2], scene.body_radius
+        if scene.body_size is not None:
+            corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * np.array(scene.body_size) / 2
+            outlines = np.stack([placed(corners, pose) for pose in poses])
+            self._at("car/outline", rows, rr.LineStrips2D.columns(strips=outlines.astype(np.float32)))
+            self._always("car/outline", rr.LineStrips2D.from_fields(radii=_points(1.5), colors=colours, draw_order=32))
+            radius = 0.25 * scene.body_size[1]
         noses = 4 * radius * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
         discs = rr.Points2D.columns(positions=np.repeat(middles, 2, axis=0)).partition([2] * len(rows))
         self._at("car/body", rows, [*discs, *rr.Arrows2D.columns(origins=middles, vectors=noses)])
@@ -158,7 +166,7 @@ class _Episode:
     def _send_rays(self) -> None:
         """The rays, with dots where they meet a wall."""
         ends, hits, colours = self._trace.ray_ends(), self._scene.hits, [rgb(DARK.ray)]
-        begins = np.broadcast_to(self._trace.poses[:, None, :2], ends.shape)
+        begins = np.broadcast_to(self._trace.origins[:, None], ends.shape)
         rays = np.stack([begins, ends], axis=2).reshape(-1, 2, 2).astype(np.float32)
         lines = rr.LineStrips2D.columns(strips=rays).partition([ends.shape[1]] * len(ends))
         dots = rr.Points2D.columns(positions=ends[hits]).partition(hits.sum(axis=1))
@@ -196,9 +204,12 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
     left = rrb.Vertical(_map(scene), rrb.Horizontal(_close_up(scene), events, column_shares=[5, 6]), row_shares=[5, 3])
     axis = rrb.TimeAxis(link="LinkToGlobal")  # zooming into one zooms into all
     origins = [f"/{states.name}" for states in scene.states]
-    timeline = rrb.StateTimelineView(contents=origins, name="Action, and how it was chosen", time_view=axis)
-    plots: list[rrb.View] = [timeline]
-    shares = [1.7]
+    plots: list[rrb.View] = []
+    shares: list[float] = []
+    if origins:
+        name = "Action, and how it was chosen" if "/action" in origins else "How the action was chosen"
+        plots.append(rrb.StateTimelineView(contents=origins, name=name, time_view=axis))
+        shares.append(1.7)
     for series in scene.series:
         legend = rrb.PlotLegend(visible=1 < len(series.entries) <= MOST_IN_LEGEND)
         name = series.title[:1].upper() + series.title[1:]
@@ -222,7 +233,7 @@ def _map(scene: EpisodeScene) -> rrb.Spatial2DView:
 
 
 def _close_up(scene: EpisodeScene) -> rrb.Spatial2DView:
-    reach = CLOSE_UP * scene.trace.scene.sensor_range
+    reach = CLOSE_UP * min(scene.trace.scene.sensor_range, MOST_SEEN)
     bounds = rrb.VisualBounds2D(x_range=[-reach, reach], y_range=[-reach, reach])
     return _spatial_view(CLOSE_UP_FRAME, "Close-up", bounds)
 

@@ -18,6 +18,7 @@ from carrl.files import appearing_whole
 from carrl.log.codec import Columns, Selection
 from carrl.log.log_file import ATTACHMENT, CHECKSUM
 from carrl.log.reader import Log
+from carrl.log.scene import STATE_UNITS
 from carrl.log.schema import Column
 
 Writer: TypeAlias = Callable[[Path, Log, Selection], int]
@@ -25,8 +26,7 @@ Writer: TypeAlias = Callable[[Path, Log, Selection], int]
 GROUP_ROWS = 2**17
 """The least number of rows in a group, the last one apart: large enough to be read fast, and held in memory at once."""
 _UNITS = {
-    **{"state_x": "m", "state_y": "m", "state_heading": "rad"},
-    **{"next_state_x": "m", "next_state_y": "m", "next_state_heading": "rad"},
+    **{f"{column}_{name}": unit for column in ("state", "next_state") for name, unit in STATE_UNITS.items()},
     "time_ns": "ns",
 }
 

@@ -17,6 +17,13 @@ from carrl.errors import shown
 
 Floats = NDArray[np.float64]
 
+STATE_UNITS = {
+    **{"x": "m", "y": "m", "heading": "rad", "speed": "m/s", "yaw_rate": "rad/s", "slip": "rad", "steering": "rad"},
+    **{"acceleration": "m/s²", "lateral_acceleration": "m/s²"},
+}
+"""Of the entries of a vehicle's state that every display knows by their names."""
+MOST_MOUNT = 1e9
+"""Of a place on the car, m."""
 OFF_MAP = 0.1
 """Of the longer side of a track: from so far outside of its walls on, a place is not drawn."""
 
@@ -95,8 +102,11 @@ class Scene:
         sensor_angles: directions of the rays from the heading, right to left, [R], rad.
         sensor_range: distance at which a ray reads 1, m.
         time_step: simulated seconds of a step, s.
-        body_radius: of the car's disc, m.
+        body_radius: of the car's disc, m; half the width of a car that is a rectangle.
         tracks: those that the column `track` counts.
+        body_size: length and width of a car that is a rectangle, m.
+        sensor_mount: how far ahead of the middle of the car the rays begin, m.
+        friction: of the tyres on the road, if it is known: no acceleration is greater than so many times gravity.
     """
 
     action_names: tuple[str, ...]
@@ -108,10 +118,13 @@ class Scene:
     time_step: float
     body_radius: float
     tracks: tuple[TrackShape, ...]
+    body_size: tuple[float, float] | None = None
+    sensor_mount: float = 0.0
+    friction: float | None = None
 
     def entries(self) -> dict[str, str]:
         """The scene without its tracks, as entries of a log's metadata; values that are no text are JSON."""
-        return {
+        entries = {
             "action_names": json.dumps(self.action_names),
             "control_names": json.dumps(self.control_names),
             "observation": json.dumps(self.observation),
@@ -121,6 +134,13 @@ class Scene:
             "time_step_s": json.dumps(self.time_step),
             "body_radius_m": json.dumps(self.body_radius),
         }
+        if self.body_size is not None:
+            entries["body_size_m"] = json.dumps(self.body_size)
+        if self.sensor_mount:
+            entries["sensor_mount_m"] = json.dumps(self.sensor_mount)
+        if self.friction is not None:
+            entries["friction"] = json.dumps(self.friction)
+        return entries
 
     @staticmethod
     def from_entries(entries: Mapping[str, str], tracks: Sequence[TrackShape]) -> "Scene":
@@ -143,6 +163,9 @@ class Scene:
             time_step=_positive(entries, "time_step_s"),
             body_radius=_positive(entries, "body_radius_m"),
             tracks=tuple(tracks),
+            body_size=_size(entries, "body_size_m") if "body_size_m" in entries else None,
+            sensor_mount=_number(entries, "sensor_mount_m") if "sensor_mount_m" in entries else 0.0,
+            friction=_positive(entries, "friction") if "friction" in entries else None,
         )
 
     @property
@@ -196,6 +219,21 @@ def _positive(entries: Mapping[str, str], key: str) -> float:
     if not 0 < found < math.inf:
         raise ValueError(f"its metadata entry '{key}' is {found}; it must be positive")
     return found
+
+
+def _size(entries: Mapping[str, str], key: str) -> tuple[float, float]:
+    found = _numbers(entries, key)
+    if found.shape != (2,) or not (found > 0).all():
+        raise ValueError(f"its metadata entry '{key}' is {shown(found.tolist())}; it must be a length and a width")
+    length, width = found.tolist()
+    return length, width
+
+
+def _number(entries: Mapping[str, str], key: str) -> float:
+    found = _parsed(entries, key, (int, float))
+    if isinstance(found, bool) or not abs(found) <= MOST_MOUNT:
+        raise ValueError(f"its metadata entry '{key}' is {shown(found)}; it must be a number")
+    return float(found)
 
 
 def _numbers(entries: Mapping[str, str], key: str) -> Floats:

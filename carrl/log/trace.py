@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ _GREATEST = 1e30
 """Of a reading, which should be 1 at most: single precision must hold where its ray ends."""
 POSE = ("x", "y", "heading")
 """What every state begins with: m, m, rad."""
+LEAST_SPREAD = 0.1
+"""Between the greatest and the least speed of a car whose speed varies, m/s."""
 _TRACK_NAME = re.compile(r"track(?:-(\d{1,6}))?\.json")
 
 
@@ -76,6 +78,13 @@ class EpisodeTrace:
         return action_choices(self.columns)
 
     @property
+    def controls(self) -> Floats | None:
+        """Of each step, named by `scene.control_names`, each in [-1, 1], [T, C]; None where actions have names."""
+        if self.columns["action"].dtype.kind != "f":
+            return None
+        return np.asarray(self.columns["action"], dtype=np.float64).reshape(len(self), -1)
+
+    @property
     def rewards(self) -> Floats:
         """Of each step, [T]."""
         return np.asarray(self.columns["reward"], dtype=np.float64)[:, 0]
@@ -106,6 +115,22 @@ class EpisodeTrace:
         """Where the car was, x m, y m, heading rad, before each step and after the last, [T + 1, 3]."""
         return self.states[:, :3]
 
+    def state(self, name: str) -> Floats | None:
+        """One entry of the state before each step and after the last, [T + 1]; None if the vehicle has none such."""
+        names = self.entries.get("state", ())
+        return self.states[:, names.index(name)] if name in names else None
+
+    @cached_property
+    def speeds(self) -> Floats | None:
+        """Before each step and after the last, [T + 1], m/s; None of a car whose speed does not vary."""
+        speeds = self.state("speed")
+        return None if speeds is None or np.ptp(speeds) < LEAST_SPREAD else speeds
+
+    @cached_property
+    def origins(self) -> Floats:
+        """Where the rays begin, before each step and after the last, [T + 1, 2], m."""
+        return ray_origins(self.poses, self.scene.sensor_mount)
+
     @cached_property
     def ranges(self) -> Floats:
         """What each ray read before each step and after the last, [T + 1, R], m."""
@@ -133,7 +158,13 @@ class EpisodeTrace:
         """Where the rays end, before each step and after the last, [T + 1, R, 2], m."""
         angles = self.poses[:, 2:] + self.scene.sensor_angles
         directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return np.asarray(self.poses[:, None, :2] + self.ranges[:, :, None] * directions)
+        return np.asarray(self.origins[:, None] + self.ranges[:, :, None] * directions)
+
+
+def ray_origins(poses: NDArray[np.floating[Any]], mount: float) -> Floats:
+    """Where the rays of cars at poses [..., 3] begin that are mounted so far ahead of the middle, [..., 2], m."""
+    ahead = np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
+    return np.asarray(poses[..., :2] + mount * ahead, dtype=np.float64)
 
 
 def read_scene(log: Log) -> Scene:
@@ -185,13 +216,19 @@ def _check_columns(scene: Scene, columns: Columns) -> None:
     episode = int(columns["episode"][0])
     if (found := columns["observation"].shape[1]) < scene.rays.stop:
         raise ValueError(f"it has {found} readings for {len(scene.sensor_angles)} rays")
+    named = columns["action"].dtype.kind == "i"
     for column, names in (("action_value", scene.action_names), ("reward_terms", scene.reward_terms)):
-        if column in columns and columns[column].shape[1] != len(names):
+        if column in columns and (named or column != "action_value") and columns[column].shape[1] != len(names):
             raise ValueError(f"column '{column}' is {columns[column].shape[1]} wide for {len(names)} names")
     if columns["state"].shape[1] < len(POSE):
         raise ValueError("its states have no x, y and heading")
     if (np.diff(columns["step"]) <= 0).any():
         raise ValueError(f"the steps of episode {episode} are out of order")
+    controls = 1 if columns["action"].ndim == 1 else columns["action"].shape[1]
+    if not named and (controls != len(scene.control_names) or not np.isfinite(columns["action"]).all()):
+        raise ValueError(
+            f"episode {episode} has actions that are no number for each of {len(scene.control_names)} controls"
+        )
     actions = action_choices(columns)
     if actions.min() < 0 or actions.max() >= len(scene.action_names):
         raise ValueError(f"episode {episode} has an action without a name")

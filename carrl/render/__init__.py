@@ -1,9 +1,9 @@
 """Pictures of tracks, laps, cars and learning; what is here does not wait for Matplotlib.
 
-canvas.py, scene.py, colours.py    what draws the track, the car and its rays, for every picture alike
-live.py    cars as they drive, as arrays or in a window
+canvas.py, scene.py, car.py, trail.py, colours.py    what draws track, car, rays and way, for every picture alike
+live.py, window.py    cars as they drive, as arrays or in a window
 video.py, panel.py, encoding.py    an episode of a log as a video
-lap.py    a track, and a rollout on it, on paper
+track_map.py, lap.py    a track, and a rollout on it, on paper
 curves.py    learning curves, and what all figures share
 terminal.py    charts of characters
 episode.py    what happened in an episode, in words
@@ -15,6 +15,8 @@ from pathlib import Path
 from carrl.errors import CarrlError
 
 ENDINGS = (".png", ".pdf", ".svg")
+MOST_SEEN = 60.0
+"""A picture that goes with the car shows its rays as far as this, m, so that the car can still be seen."""
 _LEAST_STEP = 1e-300
 
 

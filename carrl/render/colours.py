@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 PAPER, INK, FAINT = "#ffffff", "#222222", "#6b6b6b"
 BLACK, BLUE, VERMILLION, GREEN = "#000000", "#0072B2", "#D55E00", "#009E73"
+SHADES = 24
+"""Of a speed: finer steps cannot be told apart."""
 YELLOW, PURPLE, ORANGE, SKY = "#F0E442", "#CC79A7", "#E69F00", "#56B4E9"
 
 
@@ -33,6 +35,7 @@ class Theme:
         crash: a car that touches a wall.
         ray: from the car to where it sees a wall.
         actions: of the line driven; more actions begin again.
+        speeds: of the line driven where the speed varies, from the least to the greatest, the brighter the faster.
     """
 
     ground: str
@@ -50,10 +53,21 @@ class Theme:
     crash: str
     ray: str
     actions: tuple[str, ...]
+    speeds: tuple[str, ...]
 
     def action_colours(self, count: int) -> tuple[str, ...]:
         """A colour for each of so many actions."""
         return tuple(islice(cycle(self.actions), count))
+
+    @property
+    def speed_shades(self) -> tuple[str, ...]:
+        """`SHADES` colours from that of the least to that of the greatest speed."""
+        return tuple(self._speed_colour(shade / (SHADES - 1)) for shade in range(SHADES))
+
+    def _speed_colour(self, share: float) -> str:
+        place = share * (len(self.speeds) - 1)
+        before = min(int(place), len(self.speeds) - 2)
+        return blend(self.speeds[before], self.speeds[before + 1], place - before)
 
 
 LIGHT = Theme(
@@ -72,6 +86,7 @@ LIGHT = Theme(
     crash=VERMILLION,
     ray=GREEN,
     actions=(BLACK, VERMILLION, BLUE, GREEN, YELLOW),
+    speeds=("#2c105c", "#711f81", "#b73779", "#f1605d", "#ff9d5c"),
 )
 """On paper and in videos: forward is black, left vermillion, right blue."""
 DARK = Theme(
@@ -90,6 +105,7 @@ DARK = Theme(
     crash=VERMILLION,
     ray="#00c794",
     actions=("#f4f5f6", VERMILLION, SKY),
+    speeds=("#8f5bd6", "#d8569f", "#ff7f5e", "#ffc46b", "#fff6c0"),
 )
 """On screens and in viewers: forward is white, left vermillion, right sky blue."""
 INFO, WARNING, ERROR = DARK.faint, ORANGE, "#f0593e"

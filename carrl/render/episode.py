@@ -14,9 +14,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.log.scene import Floats, TrackShape
+from carrl.log.scene import STATE_UNITS, Floats, TrackShape
 from carrl.log.trace import POSE, EpisodeTrace
 from carrl.render.colours import BLUE, DARK, ERROR, GREEN, INFO, ORANGE, PURPLE, WARNING, blend
+from carrl.render.trail import driven_ways, steps_of, trail_colours
 
 Level = Literal["info", "warning", "error"]
 DRAWN = frozenset(
@@ -27,6 +28,8 @@ DRAWN = frozenset(
     }
 )
 """Columns that viewers show otherwise than as series of their own, or not at all."""
+SERIES_OF_UNITS = {"rad": "angles", "rad/s": "turning", "m/s²": "accelerations", "m/s": "speeds"}
+"""What several entries of a vehicle's state are called together."""
 _OTHER_COLOURS = (ERROR, WARNING, DARK.ray, DARK.actions[2], PURPLE, GREEN, BLUE, ORANGE)
 
 
@@ -132,9 +135,13 @@ class EpisodeScene:
 
     @cached_property
     def trail(self) -> tuple[NDArray[np.int64], Floats, list[str]]:
-        """Rows of the steps whose way is known, [N], both ends of each way, [N, 2, 2], and its action's colour."""
+        """Rows of the steps whose way is known, [N], both ends of each way, [N, 2, 2], and its colour.
+
+        That is of the step's action, or where the speed varies of the speed.
+        """
         rows, ways = driven_ways(self.trace)
-        return rows, ways, [self.action_colours[action] for action in self.trace.actions[rows]]
+        palette, colours = trail_colours(self.trace, DARK)
+        return rows, ways, [palette[colour] for colour in colours[rows]]
 
     @property
     def hits(self) -> NDArray[np.bool_]:
@@ -143,16 +150,27 @@ class EpisodeScene:
 
     @property
     def states(self) -> list[States]:
-        """The action of each step, and whether it was chosen by chance."""
-        return [
-            States("action", self.trace.scene.action_names, self.trace.actions, self.action_colours),
-            States("choice", ("greedy", "random"), self.trace.exploratory.astype(np.int64), (INFO, WARNING)),
-        ]
+        """The action of each step, if actions have names, and whether it was chosen by chance, if the log tells."""
+        trace, found = self.trace, []
+        if trace.controls is None:
+            found.append(States("action", trace.scene.action_names, trace.actions, self.action_colours))
+        if trace.controls is None or "exploratory" in trace.columns:
+            random = trace.exploratory.astype(np.int64)
+            found.append(States("choice", ("greedy", "random"), random, (INFO, WARNING)))
+        return found
 
     @property
     def series(self) -> list[Series]:
         """What the log has of numbers, the reward with its terms and its sum, and what the rays read."""
-        return [*self.columns, self._reward(), self._ranges()]
+        return [*self.controls, *self.columns, self._reward(), *self._ranges()]
+
+    @property
+    def controls(self) -> list[Series]:
+        """What was done with the car, where that is numbers."""
+        controls, names = self.trace.controls, self.trace.scene.control_names
+        if controls is None:
+            return []
+        return [Series("action", "controls, -1 to 1", names, controls, _colours(len(names)))]
 
     @cached_property
     def columns(self) -> list[Series]:
@@ -164,7 +182,8 @@ class EpisodeScene:
             values = np.asarray(column, dtype=np.float64).reshape(len(column), -1)
             entries = self._entries(name, values.shape[1])
             if name == "state":  # the pose, which it begins with, is drawn
-                values, entries = values[:, len(POSE) :], entries[len(POSE) :]
+                found += _by_unit(entries[len(POSE) :], self.trace.states[:, len(POSE) :])
+                continue
             if not entries:
                 continue
             colours = _colours(len(entries)) if entries != self.trace.scene.action_names else self.action_colours
@@ -208,6 +227,11 @@ class EpisodeScene:
         """The others of these columns."""
         return [series for series in self.columns if series is not self.per_action]
 
+    @property
+    def told(self) -> list[Series]:
+        """Those of them that the algorithm told, and not the car."""
+        return [series for series in self.numbers if series.name in self.trace.columns and series.name != "state"]
+
     def _entries(self, column: str, width: int) -> tuple[str, ...]:
         """What the values of a column's row are called."""
         actions = self.trace.scene.action_names
@@ -226,13 +250,15 @@ class EpisodeScene:
             "reward", "reward, its terms, and the return so far", ("return so far", "reward", *terms), values, colours
         )
 
-    def _ranges(self) -> Series:
+    def _ranges(self) -> list[Series]:
         """What the rays read, m, coloured from blue on the right over green to red on the left."""
         angles = self.trace.scene.sensor_angles
+        if not len(angles):
+            return []
         shares = np.linspace(-1, 1, len(angles)) if len(angles) > 1 else np.zeros(1)
         colours = [blend(DARK.ray, DARK.actions[1] if share > 0 else DARK.actions[2], abs(share)) for share in shares]
         title = "sensor rays, m: left red, ahead green, right blue"
-        return Series("ranges", title, [direction(angle) for angle in angles], self.trace.ranges, colours)
+        return [Series("ranges", title, [direction(angle) for angle in angles], self.trace.ranges, colours)]
 
 
 def _colours(count: int) -> tuple[str, ...]:
@@ -240,19 +266,17 @@ def _colours(count: int) -> tuple[str, ...]:
     return tuple(_OTHER_COLOURS[entry % len(_OTHER_COLOURS)] for entry in range(count))
 
 
-def steps_of(trace: EpisodeTrace) -> NDArray[np.int64]:
-    """Index within the episode of each recorded step, and the one after the last, [T + 1]."""
-    steps = np.asarray(trace.columns["step"], dtype=np.int64)
-    return np.append(steps, steps[-1] + 1)
-
-
-def driven_ways(trace: EpisodeTrace) -> tuple[NDArray[np.int64], Floats]:
-    """Rows of the steps whose way is known, [N], and both ends of each way, [N, 2, 2], m.
-
-    Where a log lacks the step that follows, it does not tell where the car went.
-    """
-    rows = np.flatnonzero(np.diff(steps_of(trace)) == 1)
-    return rows, np.stack([trace.poses[rows, :2], trace.poses[rows + 1, :2]], axis=1)
+def _by_unit(names: Sequence[str], values: Floats) -> list[Series]:
+    """Entries of the state before each step and after the last, [T + 1, S]: those of one unit together."""
+    units = {name: STATE_UNITS.get(name, "") for name in names}
+    found = []
+    for unit in dict.fromkeys(units.values()):
+        rows = [row for row, name in enumerate(names) if units[name] == unit]
+        entries = [names[row] for row in rows]
+        name = entries[0] if unit and len(rows) == 1 else SERIES_OF_UNITS.get(unit, "state")
+        title = f"{name.replace('_', ' ')}, {unit}" if unit else name
+        found.append(Series(name, title, entries, values[:, rows], _colours(len(rows))))
+    return found
 
 
 def episode_events(trace: EpisodeTrace) -> list[Event]:

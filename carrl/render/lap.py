@@ -1,198 +1,26 @@
-"""One drive on a map of its track: the line by action, and the car with its sensor's rays at a few places.
+"""One drive on a map of its track: the line by action or by speed, and the car with its sensor's rays at a few places.
 
 Shapes: `T` time steps, `R` rays. Lengths are in metres, angles in radians counter-clockwise from +x.
 
 Source: the paper's figure 2 (the track, the car, the gates; the green lines are its sensors).
 """
 
-import math
-import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import torch
-from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-from carrl.errors import printable
-from carrl.render import round_number
-from carrl.render.canvas import Area, Canvas, Floats, Stroke, View, closed, text_width
-from carrl.render.colours import BLACK, FAINT, INK, LIGHT, PAPER
-from carrl.render.curves import WIDTH, save_drawing
-from carrl.render.scene import (
-    PRINT,
-    Ground,
-    draw_car,
-    draw_cross,
-    draw_ground,
-    draw_line,
-    draw_rays,
-    draw_scale_bar,
-    ray_ends,
-)
+from carrl.log.trace import LEAST_SPREAD, ray_origins
+from carrl.render.canvas import Canvas, Floats, Stroke, View, text_width
+from carrl.render.car import draw_car, draw_rays, ray_ends
+from carrl.render.colours import BLACK, INK, LIGHT, PAPER
+from carrl.render.curves import save_drawing
+from carrl.render.scene import PRINT, draw_cross, draw_line
+from carrl.render.track_map import TrackMap
+from carrl.render.trail import speed_shades_of, speed_span
 from carrl.tracks.track import Track
-
-MOST_GATE_NUMBERS = 24
-MARGIN, HEAD, FOOT, TALLEST = 32.0, 14.0, 24.0, 430.0
-"""Room for labels around the road, for the title and for the legend, and the most height of the road itself; points."""
-LEGIBLE = 1.5
-"""A map with at least so many points per metre needs no close-up."""
-RADIUS = 24.0
-"""Half the side of the square that a close-up shows, m."""
-LARGEST, SMALLEST = 165.0, 80.0
-"""Side of a close-up on the paper, points: at most, and what it must have to be worth drawing."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrackMap:
-    """A map as large as the common width and TALLEST allow.
-
-    Attributes:
-        track: what it shows.
-        title: above it.
-    """
-
-    track: Track
-    title: str
-
-    @cached_property
-    def ground(self) -> Ground:
-        """The track to be drawn."""
-        return Ground.of(self.track)
-
-    @cached_property
-    def size(self) -> tuple[float, float]:
-        """Width and height, points."""
-        left, bottom, right, top = self.ground.bounds
-        scale = min((72 * WIDTH - 2 * MARGIN) / (right - left), TALLEST / (top - bottom))
-        return 72 * WIDTH, (top - bottom) * scale + HEAD + FOOT + 2 * MARGIN
-
-    @cached_property
-    def view(self) -> View:
-        """All of the track, with a strip free above it for the title and one below it for a legend."""
-        width, height = self.size
-        return View.whole(
-            self.ground.bounds, Area(MARGIN, HEAD + MARGIN, width - 2 * MARGIN, height - HEAD - FOOT - 2 * MARGIN)
-        )
-
-    def draw(self, canvas: Canvas) -> None:
-        """Draws the map."""
-        draw_ground(canvas, self.view, self.ground, PRINT)
-        if self.track.reference_line is not None:
-            reference = self.view.places(self.track.reference_line.double().numpy())
-            canvas.path(closed([reference]), Stroke(FAINT, 0.8))
-        covered = self._draw_start(canvas)
-        self._number_gates(canvas, covered)
-        draw_scale_bar(canvas, self.view, 14, self.size[1] - 14, PRINT, least=35, size=8)
-        lines = textwrap.wrap(printable(self.title), 100, max_lines=2, placeholder="...")
-        for index, line in enumerate(lines):
-            canvas.text((self.size[0] / 2, 17 + 13 * index), line, 10.5, INK, anchor="ms")
-
-    def close_up(self, places: Floats) -> View | None:
-        """A view, inside the map, of the surroundings of one of the places [K, 2], m; None if needless or no room."""
-        if self.view.scale >= LEGIBLE or len(places) == 0:
-            return None
-        middle, side = self._free_square(self.view.places(places))
-        if side < SMALLEST:
-            return None
-        centre = places[np.linalg.norm(self.view.places(places) - middle, axis=1).argmin()]
-        area = Area(middle[0] - side / 2, middle[1] - side / 2, side, side)
-        return View(area, centre, side / (2 * RADIUS))
-
-    def draw_close_up(self, canvas: Canvas, view: View, draw_scene: Callable[[Canvas, View], None]) -> None:
-        """Draws the track and what else there is in a close-up, and a line to it from the place that it shows."""
-        half, middle = max(RADIUS * self.view.scale, 7.0), np.array(view.area.middle)
-        place, edge = self.view.places(view.centre), Stroke(FAINT, 0.8)
-        canvas.path(_square(place, half), edge)
-        way = middle - place
-        reach = np.abs(way).max()
-        canvas.line([place + way * half / reach, middle - way * view.area.width / 2 / reach], edge)
-        canvas.box(view.area.left, view.area.top, view.area.width, view.area.height, PAPER)
-        with canvas.clipped(view.area):
-            draw_ground(canvas, view, self.ground, PRINT)
-            draw_scene(canvas, view)
-        canvas.path(_square(middle, view.area.width / 2), edge)
-        self._write(canvas, np.array([middle[0], view.area.bottom + 8]), f"close-up, {2 * RADIUS:g} m wide")
-
-    @cached_property
-    def _road(self) -> Floats:
-        """The centreline on the paper, [P, 2]."""
-        return self.view.places(self.ground.centreline)
-
-    def _free_square(self, places: Floats) -> tuple[Floats, float]:
-        """Middle [2] and side of a square clear of road, labels and edges; of the large ones, nearest to a place."""
-        width, height = self.size
-        frame = Area(10, HEAD + 10, width - 20, height - HEAD - FOOT - 20)
-        axes = np.linspace(frame.left, frame.right, 60), np.linspace(frame.top, frame.bottom, 60)
-        candidates = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=-1)
-        road = self._road[:: max(1, len(self._road) // 400)]
-        # The Chebyshev distance: half the side of the largest square around a candidate that the road does not enter.
-        room = np.abs(candidates[:, None] - road).max(axis=-1).min(axis=1) - 26
-        corners = (frame.left, frame.top), (frame.right, frame.bottom)
-        edges = np.concatenate([candidates - corners[0], corners[1] - candidates], axis=1).min(axis=1)
-        side = np.minimum(2 * np.minimum(room, edges), LARGEST)
-        distance = np.linalg.norm(candidates[:, None] - places, axis=-1).min(axis=1)
-        best = np.where(side >= 0.95 * side.max(), distance, np.inf).argmin()
-        return candidates[best], float(side[best])
-
-    def _draw_start(self, canvas: Canvas) -> Floats:
-        """The word and an arrow in the driving direction, on the roomier side; returns what they cover, [K, 2]."""
-        line = self.view.places(self.ground.gates[-1])
-        across = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-        # The heading is not square to the line where that stands in a corner.
-        heading = self.track.pose_at(torch.zeros(1))[0, 2].item()
-        forward = np.array([math.cos(heading), -math.sin(heading)])
-        # The word stands before the arrow; it is wider than high, so it needs more room where it meets it sideways.
-        behind, aside = 6 + 9 * abs(across[1]), 9 + 5 * abs(across[0])
-        sides = [np.stack([place - behind * forward, place, place + 26 * forward]) for place in _beside(line, aside)]
-        word, tail, head = covered = max(sides, key=self._room)
-        self._write(canvas, word, "start")
-        side = np.array([-forward[1], forward[0]])
-        canvas.line([tail, head - 5 * forward], Stroke(INK, 1.2))
-        canvas.area([[head, head - 7 * forward + 2.6 * side, head - 7 * forward - 2.6 * side]], INK)
-        return np.asarray(covered)
-
-    def _number_gates(self, canvas: Canvas, covered: Floats) -> None:
-        """Numbers where there is more room, but none on the places [K, 2]; the last gate is the start."""
-        gates = self.view.places(self.ground.gates)
-        every = round(round_number(max(1.0, len(gates) / MOST_GATE_NUMBERS)))
-        for index in range(every - 1, len(gates) - 1, every):
-            place = max(_beside(gates[index]), key=lambda place: self._room(place[None]))
-            if np.linalg.norm(covered - place, axis=1).min() > 20:
-                self._write(canvas, place, str(index + 1))
-                covered = np.vstack([covered, place])
-
-    def _room(self, places: Floats) -> float:
-        """Distance from the centreline to the nearest of the places [K, 2], points."""
-        return float(np.linalg.norm(self._road[:, None] - places, axis=-1).min())
-
-    @staticmethod
-    def _write(canvas: Canvas, place: Floats, text: str) -> None:
-        canvas.text(place, text, 8, INK, anchor="mm", rim=PAPER)
-
-
-def draw_track_map(path: str | Path, track: Track, title: str) -> None:
-    """Writes a picture of the track, a .png, .pdf or .svg.
-
-    Raises:
-        CarrlError: it ends in another, or cannot be written there.
-    """
-    track_map = TrackMap(track, title)
-    save_drawing(path, track_map.size, track_map.draw)
-
-
-def _beside(gate: Floats, distance: float = 9.0) -> tuple[Floats, Floats]:
-    """Places for a label outside both ends of a gate [2, 2], at a distance: two points [2]."""
-    outwards = (gate[0] - gate[1]) / np.linalg.norm(gate[0] - gate[1]) * distance
-    return gate[0] + outwards, gate[1] - outwards
-
-
-def _square(middle: Floats, half: float) -> Outline:
-    return closed([middle + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])])
-
 
 MOST_CARS = 6
 """At how many places along the drive the car is drawn."""
@@ -200,8 +28,8 @@ LEAST_GAP = 70.0
 """How far apart these places are at least, along the drive, points."""
 FINEST = 2.0
 """The shortest stretch of one colour that is easy to see, points."""
-_TEXT, _SWATCH, _SPACE = 8.5, 13.0, 12.0
-"""Of the legend: height of its text, width of a sample, distance between two entries; points."""
+_TEXT, _SWATCH, _SPACE, _BAR = 8.5, 13.0, 12.0, 96.0
+"""Of the legend: height of its text, width of a sample, distance between two entries, width of a bar; points."""
 
 
 def draw_lap(
@@ -217,6 +45,9 @@ def draw_lap(
     sensor_range: float,
     title: str,
     collided: bool = False,
+    speeds: Floats | None = None,
+    body_size: tuple[float, float] | None = None,
+    sensor_mount: float = 0.0,
 ) -> None:
     """Writes a picture of one drive, a .png, .pdf or .svg.
 
@@ -226,16 +57,25 @@ def draw_lap(
         poses: x, y, heading in which each action was chosen, [T, 3], m, m, rad; or [T + 1, 3] with the last pose.
         ranges: distance to the wall along each ray at those poses, [T, R], m.
         sensor_angles: directions of the rays, [R], rad counter-clockwise from the heading.
-        actions: indices into the names, [T].
-        action_names: what each action is called.
+        actions: indices into the names, [T]; anything of T rows where there are none.
+        action_names: what each action is called; none where actions are numbers.
         body_radius: radius of the car's disc, m.
         sensor_range: what a ray reads that meets no wall, m.
         title: one line above the map.
         collided: whether the drive ended at a wall; its end is then a cross instead of a ring.
+        speeds: at each pose, m/s, or none; where they do not vary the line has the colours of the actions.
+        body_size: length and width of a car that is a rectangle, m.
+        sensor_mount: how far ahead of the middle of the car the rays begin, m.
     """
     track_map = TrackMap(track, title)
     steps = _steps_shown(poses[: len(ranges), :2], track_map.view.scale)
-    lap = _Lap(poses, ranges, sensor_angles, actions, LIGHT.action_colours(len(action_names)), steps, collided)
+    speeds = speeds if speeds is not None and np.ptp(speeds) >= LEAST_SPREAD else None
+    if speeds is not None:
+        colours, actions = LIGHT.speed_shades, speed_shades_of(speeds, *speed_span(speeds))
+    else:
+        colours = LIGHT.action_colours(max(1, len(action_names)))
+        actions = actions if action_names else np.zeros(len(actions), dtype=np.int64)
+    lap = _Lap(poses, ranges, sensor_angles, actions, colours, steps, collided, speeds, body_size, sensor_mount)
     close_up = track_map.close_up(poses[steps, :2])
 
     def draw_scene(canvas: Canvas, view: View) -> None:
@@ -253,7 +93,7 @@ def draw_lap(
 
 @dataclass(frozen=True, eq=False)
 class _Lap:
-    """What is drawn of a drive: as `draw_lap` has it, with the colours of the actions, and the steps with a car."""
+    """What is drawn of a drive: as `draw_lap` has it, with colours that `actions` counts, and the steps with a car."""
 
     poses: Floats
     ranges: Floats
@@ -262,16 +102,20 @@ class _Lap:
     colours: Sequence[str]
     steps: Sequence[int]
     collided: bool
+    speeds: Floats | None
+    body_size: tuple[float, float] | None
+    sensor_mount: float
 
     def draw(self, canvas: Canvas, view: View, body_radius: float, sensor_range: float) -> None:
         """Draws the rays, the line, the car, and the end."""
         for step in self.steps:
-            ends = ray_ends(self.poses[step], self.ranges[step], self.sensor_angles)
-            colours = [LIGHT.ray] * len(ends)
-            draw_rays(canvas, view, self.poses[step, :2], ends, colours, self.ranges[step] < sensor_range, PRINT)
+            pose, ranges = self.poses[step], self.ranges[step]
+            ends = ray_ends(pose, ranges, self.sensor_angles, self.sensor_mount)
+            origin = ray_origins(pose, self.sensor_mount)
+            draw_rays(canvas, view, origin, ends, [LIGHT.ray] * len(ends), ranges < sensor_range, PRINT)
         self._draw_line(canvas, view)
         for step in self.steps:
-            draw_car(canvas, view, self.poses[step], body_radius, PRINT)
+            draw_car(canvas, view, self.poses[step], body_radius, PRINT, body_size=self.body_size)
         if len(self.poses):
             self.draw_end(canvas, view.places(self.poses[-1, :2]))
 
@@ -283,9 +127,9 @@ class _Lap:
             canvas.disc(place, 3, PAPER, Stroke(INK, 1.2))
 
     def _draw_line(self, canvas: Canvas, view: View) -> None:
-        """The way from each position to the next in the colour of the action that was chosen there.
+        """The way from each position to the next in the colour of the action that was chosen there, or of the speed.
 
-        Steps too short to see would blend into grey; there, each stretch of FINEST shows its prevailing action.
+        Steps too short to see would blend into grey; there, each stretch of FINEST shows its prevailing colour.
         """
         positions = self.poses[:, :2]
         actions = self.actions[: max(0, len(positions) - 1)]
@@ -316,22 +160,45 @@ def _length(positions: Floats) -> float:
 
 def _draw_legend(canvas: Canvas, size: tuple[float, float], lap: _Lap, action_names: Sequence[str]) -> None:
     """Below the map at the right: what the colours mean, with each action's share of the steps, and the marks."""
-    y, colours = size[1] - 14, lap.colours
-    names = [*action_names, "car, sensor rays", "collision" if lap.collided else "end"]
+    x, y = size[0] - 9, size[1] - 14
+    names, colours = (list(action_names), lap.colours) if lap.speeds is None else ([], ())
     if len(lap.actions):
-        shares = [round(100 * np.mean(lap.actions == action)) for action in range(len(action_names))]
-        names[: len(shares)] = [f"{name} {share} %" for name, share in zip(names, shares, strict=False)]
-    x = size[0] - 9
-    for index, name in reversed(list(enumerate(names))):
+        names = [f"{name} {round(100 * np.mean(lap.actions == action))} %" for action, name in enumerate(names)]
+    for index, name in reversed(list(enumerate([*names, "car, sensor rays", "collision" if lap.collided else "end"]))):
         x -= text_width(name, _TEXT)
         canvas.text((x, y + 3), name, _TEXT, INK)
         x -= _SWATCH + 5
         ends, middle = [(x, y), (x + _SWATCH, y)], np.array([x + _SWATCH / 2, y])
-        if index < len(colours):
+        if index < len(names):
             canvas.line(ends, Stroke(colours[index], 2.2))
-        elif index == len(colours):
+        elif index == len(names):
             canvas.line(ends, Stroke(LIGHT.ray, 0.9))
-            canvas.disc(middle, 2.75, LIGHT.car, Stroke(INK, PRINT.outline.least))
+            _draw_sample_car(canvas, middle, lap.body_size)
         else:
             lap.draw_end(canvas, middle)
         x -= _SPACE
+    if lap.speeds is not None:
+        _draw_speed_bar(canvas, x, y, *speed_span(lap.speeds))
+
+
+def _draw_sample_car(canvas: Canvas, middle: Floats, body_size: tuple[float, float] | None) -> None:
+    edge = Stroke(INK, PRINT.outline.least)
+    if body_size is None:
+        canvas.disc(middle, 2.75, LIGHT.car, edge)
+    else:
+        canvas.box(middle[0] - 4, middle[1] - 2, 8, 4, LIGHT.car, edge)
+
+
+def _draw_speed_bar(canvas: Canvas, right: float, y: float, low: float, high: float) -> None:
+    """A bar of the line's colours with the speeds at both of its ends, the least and the greatest, and their unit."""
+    greatest, least = f"{high:.3g} m/s", f"{low:.3g}"
+    x = right - text_width(greatest, _TEXT)
+    canvas.text((x, y + 3), greatest, _TEXT, INK)
+    x -= _BAR + 5
+    each = _BAR / len(LIGHT.speed_shades)
+    for index, shade in enumerate(LIGHT.speed_shades):  # each to the end: no background shines through between two
+        canvas.box(x + index * each, y - 3, _BAR - index * each, 6, shade)
+    x -= 5 + text_width(least, _TEXT)
+    canvas.text((x, y + 3), least, _TEXT, INK)
+    x -= 7 + text_width("speed", _TEXT)
+    canvas.text((x, y + 3), "speed", _TEXT, INK)

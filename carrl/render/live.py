@@ -3,30 +3,24 @@
 Shapes: `B` cars, `R` rays, `T` time steps.
 """
 
-import os
-import sys
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.errors import ConfigError
+from carrl.log.trace import ray_origins
+from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Floats, Picture, PixelCanvas, Stroke, View, fitted, text_width
+from carrl.render.car import draw_car, draw_rays, placed, ray_ends
 from carrl.render.colours import DARK, ORANGE, PURPLE, SKY, YELLOW, blend, nearness_colour
 from carrl.render.scene import (
     SCREEN,
     Ground,
-    draw_car,
     draw_ground,
     draw_line,
-    draw_rays,
     draw_route,
     draw_scale_bar,
-    placed,
-    ray_ends,
 )
 from carrl.tracks.track import Track
 
@@ -59,12 +53,13 @@ class CarSnapshot:
         next_gate: index of the gate that counts next.
         gates_passed: since the start.
         step: steps since the start.
-        steer: how far the wheel is turned, -1 right to 1 left.
+        steer: how far the wheel is turned, -1 right to 1 left
         action: what the last action is called.
         episode_return: sum of the rewards since the start.
         collided: the car touched a wall in the last step.
         trail: where the car was before, oldest first, [T, 2], m.
         track: index of what it drives on.
+        speed: m/s; None of a car whose speed never varies.
     """
 
     pose: Floats
@@ -78,6 +73,7 @@ class CarSnapshot:
     collided: bool = False
     trail: Sequence[Floats] = ()
     track: int = 0
+    speed: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,10 +82,12 @@ class CarLook:
 
     Attributes:
         body_radius: m.
-        speed: m/s.
+        speed: of a car whose speed never varies, m/s.
         time_step: s.
         sensor_angles: directions of the rays, [R], rad counter-clockwise from the heading.
         sensor_range: m.
+        body_size: length and width of a car that is a rectangle, m.
+        sensor_mount: how far ahead of the middle of the car the rays begin, m.
     """
 
     body_radius: float
@@ -97,6 +95,8 @@ class CarLook:
     time_step: float
     sensor_angles: Floats
     sensor_range: float
+    body_size: tuple[float, float] | None = None
+    sensor_mount: float = 0.0
 
 
 class FollowPicture:
@@ -113,7 +113,7 @@ class FollowPicture:
         self.size, self._car = size, car
         self._grounds = [Ground.of(track) for track in tracks]
         self._canvas = PixelCanvas(*size)
-        self._scale = size[1] / max(LEAST_VIEW, 2.4 * car.sensor_range)
+        self._scale = size[1] / max(LEAST_VIEW, 2.4 * min(car.sensor_range, MOST_SEEN))
         self._figures, self._scale_bar, self._legend = _figures_panel(), self._scale_panel(), self._legend_panel()
         self._maps: dict[int, PixelCanvas] = {}
 
@@ -127,10 +127,18 @@ class FollowPicture:
         self._canvas.clear(DARK.ground)
         draw_ground(self._canvas, view, ground, SCREEN, (car.next_gate,))
         self._draw_trail(view, car)
-        ends = ray_ends(car.pose, car.readings * self._car.sensor_range, self._car.sensor_angles)
-        colours = [nearness_colour(reading) for reading in car.readings.tolist()]
-        draw_rays(self._canvas, view, car.pose[:2], ends, colours, car.readings < 1, SCREEN)
-        draw_car(self._canvas, view, car.pose, self._car.body_radius, SCREEN, steer=car.steer, collided=car.collided)
+        self._draw_rays(view, car)
+        look = self._car
+        draw_car(
+            self._canvas,
+            view,
+            car.pose,
+            look.body_radius,
+            SCREEN,
+            body_size=look.body_size,
+            steer=car.steer,
+            collided=car.collided,
+        )
         self._write_labels(view, ground, car)
         self._draw_map(ground, car)
         self._draw_figures(ground, car)
@@ -138,6 +146,12 @@ class FollowPicture:
         if message:
             self._draw_message(message)
         return self._canvas.picture()
+
+    def _draw_rays(self, view: View, car: CarSnapshot) -> None:
+        mount = self._car.sensor_mount
+        ends = ray_ends(car.pose, car.readings * self._car.sensor_range, self._car.sensor_angles, mount)
+        colours = [nearness_colour(reading) for reading in car.readings.tolist()]
+        draw_rays(self._canvas, view, ray_origins(car.pose, mount), ends, colours, car.readings < 1, SCREEN)
 
     def _draw_trail(self, view: View, car: CarSnapshot) -> None:
         """A line through where the car was that fades towards the oldest."""
@@ -186,7 +200,7 @@ class FollowPicture:
         values = (
             f"{car.step:,}",
             f"{car.step * self._car.time_step:,.1f} s",
-            f"{self._car.speed:.1f} m/s",
+            f"{self._car.speed:.1f} m/s" if car.speed is None else f"{3.6 * car.speed:.0f} km/h",
             f"{car.gates_passed % gates} of {gates}",
             f"{car.gates_passed // gates}",
             f"{car.episode_return:,.0f}",
@@ -294,57 +308,3 @@ def _map_panel(ground: Ground) -> PixelCanvas:
 def _map_area(panel: Area) -> Area:
     """Where on its panel the map is, above the track's name."""
     return Area(panel.left + 8, panel.top + 8, panel.width - 16, panel.height - 32)
-
-
-_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
-
-
-class Window:
-    """A window on the display that shows pictures at a steady pace.
-
-    Args:
-        size: width and height, px.
-        title: above it.
-
-    Raises:
-        ConfigError: there is no display, or no pygame.
-    """
-
-    def __init__(self, size: tuple[int, int], title: str) -> None:
-        """Opens it."""
-        self._pygame = pygame = _import_pygame()
-        try:
-            # Without a display SDL 2.28 draws where nobody can see it, instead of failing.
-            if sys.platform == "linux" and not any(name in os.environ for name in _DISPLAYS):
-                raise pygame.error("no display was found")
-            pygame.display.init()
-            self._screen = pygame.display.set_mode(size)
-        except pygame.error as error:
-            pygame.display.quit()
-            raise ConfigError(f"no window can be opened: {error}; render_mode='rgb_array' needs no display") from error
-        pygame.display.set_caption(title)
-        self._clock = pygame.time.Clock()
-
-    def show(self, picture: Picture, fps: float) -> None:
-        """Shows a picture [H, W, 3], no sooner than 1 / fps seconds after the one before."""
-        pygame, (height, width) = self._pygame, picture.shape[:2]
-        self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
-        pygame.event.pump()
-        self._clock.tick(fps)
-        pygame.display.flip()
-
-    def close(self) -> None:
-        """Closes it; twice is no harm."""
-        self._pygame.display.quit()
-
-
-def _import_pygame() -> Any:
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        with warnings.catch_warnings():
-            # pygame 2.6 imports setuptools' pkg_resources where that exists, which then warns of its own end.
-            warnings.filterwarnings("ignore", ".*pkg_resources")
-            import pygame
-    except ImportError as error:
-        raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
-    return pygame

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.path import Path as Outline
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from carrl.log.scene import TrackShape
 from carrl.render import round_number
@@ -27,12 +27,6 @@ SQUARE, LEAST_SQUARE = 0.5, 2.0
 """Side of a square of the start line, m, and at least, units."""
 LEAST_START = 12.0
 """Length of the start line on a map so small that the road is thinner, units."""
-# A car with its nose to +x, in body radii.
-_HULL = np.array([[-0.92, -0.4], [-0.92, 0.4], [0.45, 0.42], [0.95, 0.2], [0.95, -0.2], [0.45, -0.42]])
-_SCREEN = np.array([[-0.05, -0.3], [-0.05, 0.3], [0.3, 0.24], [0.3, -0.24]])
-_TYRE = np.array([[-0.22, -0.11], [-0.22, 0.11], [0.22, 0.11], [0.22, -0.11]])
-_AXLES = ((-0.55, -0.48), (-0.55, 0.48), (0.5, -0.48), (0.5, 0.48))
-_WHEEL_ANGLE = 0.45
 
 
 @dataclass(frozen=True)
@@ -235,63 +229,11 @@ def draw_line(
         canvas.path(segments(pieces[colours == index]), Stroke(palette[index], width, cap="butt"), view=view)
 
 
-def draw_rays(
-    canvas: Canvas, view: View, origin: Floats, ends: Floats, colours: Sequence[str], hits: ArrayLike, style: Style
-) -> None:
-    """Lines from the car [2] to where its rays end [R, 2], with a dot where one meets a wall."""
-    begin, radius = view.places(origin), style.ray_end.width(view)
-    for end, colour, hit in zip(view.places(ends), colours, np.asarray(hits).tolist(), strict=True):
-        canvas.line([begin, end], style.ray.stroke(colour, view))
-        if hit or style.detailed:
-            canvas.disc(end, radius, colour if hit else None, style.ray.stroke(colour, view))
-
-
-def draw_car(
-    canvas: Canvas,
-    view: View,
-    pose: Floats,
-    body_radius: float,
-    style: Style,
-    *,
-    steer: float = 0.0,
-    collided: bool = False,
-) -> None:
-    """The car at a pose [3], its front wheels turned by -1, to the right, to 1, to the left."""
-    radius, middle = max(body_radius * view.scale, style.least_radius), view.places(pose[:2])
-    colour, edge = (
-        style.theme.crash if collided else style.theme.car,
-        Stroke(style.theme.tyre, style.outline.width(view)),
-    )
-    if not style.detailed:
-        canvas.disc(middle, radius, colour, edge)
-        canvas.line([middle, middle + radius * np.array([np.cos(pose[2]), -np.sin(pose[2])])], edge)
-        return
-    in_metres = radius / view.scale
-    canvas.disc(middle, radius, None, Stroke(colour, edge.width))
-    tyres = [placed(_TYRE, np.array([x, y, _WHEEL_ANGLE * steer * (x > 0)])) for x, y in _AXLES]
-    parts = ((tyres, style.theme.tyre), ([_HULL], colour), ([_SCREEN], style.theme.tyre))
-    for shapes, fill in parts:
-        canvas.area([view.places(placed(in_metres * shape, pose)) for shape in shapes], fill)
-
-
 def draw_cross(canvas: Canvas, place: Floats, reach: float, colour: str) -> None:
     """Marks a collision, with a rim that makes it stand out."""
     arms = place + reach * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]])
     canvas.segments(arms, Stroke(PAPER, reach))
     canvas.segments(arms, Stroke(colour, 0.55 * reach))
-
-
-def placed(shape: Floats, pose: Floats) -> Floats:
-    """A shape with its nose to +x, [K, 2], m, at a pose [3]."""
-    sine, cosine = np.sin(pose[2]), np.cos(pose[2])
-    return np.asarray(shape @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2])
-
-
-def ray_ends(pose: Floats, ranges: Floats, sensor_angles: Floats) -> Floats:
-    """Where the rays from poses [..., 3] with these ranges [..., R] end: [..., R, 2], m."""
-    angles = pose[..., 2:] + sensor_angles
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return np.asarray(pose[..., None, :2] + ranges[..., None] * directions)
 
 
 def _deck(track: "Track", over: tuple[float, float]) -> tuple[Floats, Floats]:

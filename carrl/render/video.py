@@ -13,25 +13,24 @@ from numpy.typing import NDArray
 
 from carrl.errors import CarrlError
 from carrl.files import write_whole
-from carrl.log.trace import EpisodeTrace
+from carrl.log.trace import EpisodeTrace, ray_origins
+from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Canvas, Floats, Picture, PixelCanvas, Stroke, View, fitted
+from carrl.render.car import draw_car, draw_rays, ray_ends
 from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
 from carrl.render.encoding import GIF, MP4, OLD_TRAIL, Encoding, encoded
-from carrl.render.episode import steps_of
 from carrl.render.panel import HEIGHT, WIDTH, Panel
 from carrl.render.scene import (
     FILM,
     Ground,
-    draw_car,
     draw_cross,
     draw_ground,
     draw_line,
-    draw_rays,
     draw_route,
     draw_scale_bar,
     number_gates,
-    ray_ends,
 )
+from carrl.render.trail import steps_of, trail_colours
 
 HOLD = 1.0
 """How long the last picture stays, s."""
@@ -48,7 +47,7 @@ CLOSEST_SCALE = 11.0
 RANGES_SEEN = 2.4
 """When the camera follows the car, it sees at least so many ranges of the sensor from top to bottom."""
 TRAIL = 300
-"""So many of the last steps are coloured by their action."""
+"""So many of the last steps are coloured by their action or speed."""
 FLASH = 5
 """For so many steps a gate lights up that was passed."""
 NEAR = 0.1
@@ -132,8 +131,9 @@ class WorldPicture:
         scene = self.trace.scene
         reaches = ranges / scene.sensor_range
         colours = [VERMILLION if reach < NEAR else GREEN for reach in reaches]
-        draw_rays(canvas, view, pose[:2], ray_ends(pose, ranges, scene.sensor_angles), colours, reaches < 1, FILM)
-        draw_car(canvas, view, pose, scene.body_radius, FILM)
+        ends = ray_ends(pose, ranges, scene.sensor_angles, scene.sensor_mount)
+        draw_rays(canvas, view, ray_origins(pose, scene.sensor_mount), ends, colours, reaches < 1, FILM)
+        draw_car(canvas, view, pose, scene.body_radius, FILM, body_size=scene.body_size)
         if share == 1 and self.trace.ended == "collision":
             draw_cross(canvas, view.places(pose[:2]), 9, VERMILLION)
         draw_scale_bar(canvas, view, OVERVIEW.right + 20 if self._follows else 24, AREA.bottom - 18, FILM)
@@ -151,7 +151,7 @@ class WorldPicture:
 
     @cached_property
     def _follow_scale(self) -> float:
-        return min(CLOSEST_SCALE, AREA.height / (RANGES_SEEN * self.trace.scene.sensor_range))
+        return min(CLOSEST_SCALE, AREA.height / (RANGES_SEEN * min(self.trace.scene.sensor_range, MOST_SEEN)))
 
     @property
     def _follows(self) -> bool:
@@ -162,12 +162,15 @@ class WorldPicture:
         """Whether the log tells where each step led, [T]."""
         return np.diff(steps_of(self.trace)) == 1
 
+    @cached_property
+    def _trail_colours(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+        return trail_colours(self.trace, LIGHT)
+
     def _draw_trail(self, canvas: Canvas, view: View, step: int, pose: Floats) -> None:
         """The line to the car's pose, old parts of it in grey; where the log lacks a step there is none."""
         way = np.vstack([self.trace.poses[: step + 1, :2], pose[None, :2]])
         pieces, known = np.stack([way[:-1], way[1:]], axis=1), self._known[: step + 1]
-        palette = [*LIGHT.action_colours(len(self.trace.scene.action_names)), OLD_TRAIL]
-        colours = self.trace.actions[: step + 1].copy()
+        palette, colours = [*self._trail_colours[0], OLD_TRAIL], self._trail_colours[1][: step + 1].copy()
         colours[:-TRAIL] = len(palette) - 1
         draw_line(canvas, view, pieces[known], colours[known], palette, FILM.line.width(view))
 

@@ -19,7 +19,9 @@ from carrl.report.measures import (
     FIRST_LAP_FRAMES,
     FIRST_LAP_SECONDS,
     FORWARD_SHARE,
+    MEAN_SPEED,
     MEASURES,
+    STEERING_CHANGE,
     SWITCHES,
     Estimate,
     Measure,
@@ -33,6 +35,8 @@ AXIS = {
     FIRST_LAP_SECONDS.key: "first greedy lap, s since training began",
     SWITCHES.key: "switches of action per 100 m (fewer is smoother)",
     FORWARD_SHARE.key: "share of steps forward (more is smoother)",
+    MEAN_SPEED.key: "mean speed of the best lap, m/s",
+    STEERING_CHANGE.key: "change of the steering per step (less is smoother)",
 }
 MOST_COLUMNS = 3
 TITLE_CHARACTERS = 84
@@ -46,8 +50,9 @@ def draw_first_laps(path: Path, findings: Findings) -> bool:
 
 
 def draw_smoothness(path: Path, findings: Findings) -> bool:
-    """Writes a PNG of how the best laps switch and drive forward; False, and no file, where no run lapped."""
-    return _draw_strips(path, findings, (SWITCHES, FORWARD_SHARE))
+    """Writes a PNG of how the best laps are driven; False, and no file, where no run lapped."""
+    by_name = any(key in figures for figures in findings.figures for key in (SWITCHES.key, FORWARD_SHARE.key))
+    return _draw_strips(path, findings, (SWITCHES, FORWARD_SHARE) if by_name else (MEAN_SPEED, STEERING_CHANGE))
 
 
 def _draw_strips(path: Path, findings: Findings, measures: tuple[Measure, Measure]) -> bool:

@@ -11,7 +11,7 @@ from carrl.evaluation.results import Rollout
 from carrl.files import write_whole
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped
 from carrl.report.groups import Group
-from carrl.report.measures import CONFIDENCE, MEASURES, RESAMPLES, SEED, Estimate
+from carrl.report.measures import CONFIDENCE, RESAMPLES, SEED, Estimate, measures_of
 from carrl.report.runs import RunResult
 from carrl.report.text import Picture, comma_separated, report_text
 
@@ -61,12 +61,13 @@ def runs_csv(findings: Findings) -> str:
 
 def groups_csv(findings: Findings) -> str:
     """A row for each group, with an interquartile mean, its interval and its count for each measure."""
+    measures = measures_of(findings.runs)
     header = ["group", "runs", "lapped"]
-    header += [f"{measure.key}{part}" for measure in MEASURES for part in ("", "_low", "_high", "_runs", "_never")]
+    header += [f"{measure.key}{part}" for measure in measures for part in ("", "_low", "_high", "_runs", "_never")]
     rows = []
     for group, figures in zip(findings.groups, findings.figures, strict=True):
         row: list[object] = [group.label, len(group.counted), lapped(group)]
-        for measure in MEASURES:
+        for measure in measures:
             figure = figures.get(measure.key)
             row += [None] * 3 + [0, 0] if figure is None else [*_estimate(figure.estimate), figure.runs, figure.never]
         rows.append(row)
@@ -76,7 +77,8 @@ def groups_csv(findings: Findings) -> str:
 def _run(run: RunResult, findings: Findings) -> dict[str, Any]:
     group = next((each for each in findings.groups if run in each.runs), None)
     summary = run.summary or {}
-    values = {measure.key: measure.value(run) if run.summary else None for measure in MEASURES}
+    measures = measures_of(findings.runs)
+    values = {measure.key: measure.value(run) if run.summary else None for measure in measures}
     return {
         "run": run.label,
         "folder": str(run.folder),

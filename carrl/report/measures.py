@@ -1,8 +1,9 @@
 """What runs are compared by, and the statistics of few runs: means, intervals and probabilities of improvement.
 
-Smoothness is that of the best greedy rollout and counts only where that completes the lap: a car that crashes before
-the first corner has not changed its action once. A run without a first lap, or whose first lap is not confirmed, has it
-after all others'. Returns and rewards are on the same scale only where the track and what is paid for are the same.
+Smoothness and speed are those of the best greedy rollout and count only where that completes the lap: a car that
+crashes before the first corner has not changed its action once. A run without a first lap, or whose first lap is not
+confirmed, has it after all others'. Returns and rewards are on the same scale only where the track and what is paid for
+are the same.
 
 Source: R. Agarwal et al. (2021), Deep Reinforcement Learning at the Edge of the Statistical Precipice, and their
 library, rliable: the interquartile mean (25 % trimmed from each side), percentile intervals of a stratified bootstrap,
@@ -25,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carrl.evaluation.results import styles_of
 from carrl.report.runs import RunResult
 
 Value = Callable[[RunResult], float | None]
@@ -89,7 +91,9 @@ def _of_first_lap(key: str) -> Value:
 def _of_best_drive(key: str, of_laps_only: bool = False) -> Value:
     def value(run: RunResult) -> float | None:
         drive = _summary(run).get("evaluation")
-        return None if drive is None or (of_laps_only and not drive["lap_completed"]) else float(drive[key])
+        if drive is None or key not in drive or (of_laps_only and not drive["lap_completed"]):
+            return None
+        return float(drive[key])
 
     return value
 
@@ -157,7 +161,35 @@ FORWARD_SHARE = Measure(
     ".1%",
     _of_best_drive("forward_share", of_laps_only=True),
 )
-MEASURES = (FIRST_LAP_FRAMES, FIRST_LAP_SECONDS, PROGRESS, LAP_REWARD, FINAL_RETURN, SWITCHES, FORWARD_SHARE)
+MEAN_SPEED = Measure(
+    "mean_speed",
+    "mean speed, m/s",
+    True,
+    "drives faster",
+    ".1f",
+    _of_best_drive("mean_speed", of_laps_only=True),
+)
+STEERING_CHANGE = Measure(
+    "steering_change",
+    "steering change",
+    False,
+    "steers more calmly",
+    ".3f",
+    _of_best_drive("steering_change", of_laps_only=True),
+)
+MEASURES = (
+    *(FIRST_LAP_FRAMES, FIRST_LAP_SECONDS, PROGRESS, LAP_REWARD, FINAL_RETURN, SWITCHES, FORWARD_SHARE),
+    *(MEAN_SPEED, STEERING_CHANGE),
+)
+STYLES = (SWITCHES, FORWARD_SHARE, MEAN_SPEED, STEERING_CHANGE)
+"""Those that only some kinds of cars and of actions have."""
+
+
+def measures_of(runs: Iterable[RunResult]) -> list[Measure]:
+    """Those that runs of these cars and actions may have."""
+    drives = [_summary(run).get("evaluation") or {} for run in runs]
+    styles = {style.key for style in styles_of(drives)}
+    return [measure for measure in MEASURES if measure not in STYLES or measure.key in styles]
 
 
 RESAMPLES, CURVE_RESAMPLES = 10_000, 2_000

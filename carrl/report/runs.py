@@ -24,10 +24,15 @@ _EVALUATION: Wanted = {
     "progress": _NUMBER,
     "lap_reward": _NUMBER,
     "lap_steps": _COUNT,
+}
+_STYLE: Wanted = {
     "forward_share": _NUMBER,
     "switches_per_100m": _NUMBER,
     "reversals": _COUNT,
+    "mean_speed": _NUMBER,
+    "steering_change": _NUMBER,
 }
+"""What some evaluations have, by the kind of car and of actions."""
 FINISHED, INTERRUPTED, UNFINISHED, DAMAGED = "finished", "interrupted", "unfinished", "damaged"
 """How a run ended; only the finished count."""
 MOST_EPISODES = 2**20
@@ -53,9 +58,18 @@ def read_summary(run: Path) -> dict[str, Any]:
                 raise ValueError(f"it lacks {name}")
             if summary[name] is not None:
                 _check(name, summary[name], wanted)
+        if summary["evaluation"] is not None:
+            _check("evaluation", summary["evaluation"], _styles_in(summary["evaluation"]))
     except ValueError as error:
         raise CheckpointError(f"run '{run}': {SUMMARY} is damaged: {error}") from None
     return dict(summary)
+
+
+def _styles_in(evaluation: Mapping[str, Any]) -> Wanted:
+    """Those of an evaluation, which are the first three if it has neither of the last two."""
+    wanted = {key: kinds for key, kinds in _STYLE.items() if key in evaluation}
+    by_name = {key: kinds for key, kinds in _STYLE.items() if key not in ("mean_speed", "steering_change")}
+    return wanted if wanted.keys() - by_name.keys() else by_name
 
 
 def missing_lap(summary: Mapping[str, Any], never: str) -> str:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from carrl.config import check_targets
 from carrl.errors import ConfigError, printable
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.results import Rollout
+from carrl.evaluation.results import DrivingStyle, Rollout, styles_of
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped, written_p
-from carrl.report.measures import CONFIDENCE, MEASURES, RESAMPLES, Estimate, Measure
+from carrl.report.measures import CONFIDENCE, RESAMPLES, Estimate, Measure, measures_of
 from carrl.report.runs import RunResult, missing_lap
 from carrl.task.task import World
 from carrl.train.build import build_world
@@ -25,9 +25,6 @@ HEADER = (
     "best lap",
     "lap reward",
     "steps",
-    "forward share",
-    "switches / 100 m",
-    "reversals",
 )
 BEST_LAP_HEADER = ("forward / best", "switches / best")
 """What is added where the best possible lap is known: a run's figures as shares of its."""
@@ -42,7 +39,7 @@ METHOD = f"""\
 - The first lap is a greedy evaluation that completes the lap, after at least one update, and is confirmed by the next
   evaluation, which completes it as well. A run without one has its first lap after all others' in comparisons. In means
   it counts with the frames or seconds that it was driven, and the mean is marked ≥.
-- Progress, reward and smoothness are those of the best greedy drive; smoothness only where it completed the lap.
+- Progress, reward, smoothness and speed are those of the best greedy drive; the last two only of complete laps.
 - Returns and rewards are compared only between groups with the same track and rewards.
 - Seconds depend on the machine and on what else it did. Seeds that were trained at once share one clock and one
   compilation; their times are not compared."""
@@ -66,7 +63,9 @@ def comma_separated(header: Sequence[str], rows: Sequence[Sequence[object]]) -> 
 
 def runs_table(runs: list[RunResult], best_lap: Rollout | None = None) -> str:
     """The runs as a table in Markdown, with their distance from the best possible lap if that is given."""
-    header, table = [*HEADER], [_row(run) for run in runs]
+    styles = styles_of((run.summary or {}).get("evaluation") or {} for run in runs)
+    header = [*HEADER, *(style.name for style in styles)]
+    table = [_row(run, styles) for run in runs]
     if best_lap is not None:
         header += BEST_LAP_HEADER
         table = [row + _beside(run, best_lap) for row, run in zip(table, runs, strict=True)]
@@ -102,10 +101,11 @@ def _alike(world: World, other: World) -> bool:
     return same and fans[0] == fans[1] and math.isclose(*distances, rel_tol=1e-4)
 
 
-def _row(run: RunResult) -> list[str]:
-    """The run's figures under `HEADER`."""
+def _row(run: RunResult, styles: Sequence[DrivingStyle]) -> list[str]:
+    """The run's figures under `HEADER`, and how it drives."""
+    width = len(HEADER) + len(styles)
     if run.summary is None:
-        return [run.label, str(len(run.ends.returns)), *[run.state] * 2, *["-"] * (len(HEADER) - 4)]
+        return [run.label, str(len(run.ends.returns)), *[run.state] * 2, *["-"] * (width - 4)]
     first = run.summary["first_lap"]
     row = [
         run.label,
@@ -115,22 +115,20 @@ def _row(run: RunResult) -> list[str]:
     ]
     best = run.summary["evaluation"]
     if best is None:
-        return [*row, *["-"] * (len(HEADER) - len(row))]
+        return [*row, *["-"] * (width - len(row))]
     return [
         *row,
         "complete" if best["lap_completed"] else f"{best['progress']:.0%}",
         f"{best['lap_reward']:.0f}",
         f"{best['lap_steps']}",
-        f"{best['forward_share']:.0%}",
-        f"{best['switches_per_100m']:.1f}",
-        f"{best['reversals']}",
+        *(style.written(best) for style in styles),
     ]
 
 
 def _beside(run: RunResult, best_lap: Rollout) -> list[str]:
     """The run's figures under `BEST_LAP_HEADER`."""
     own = (run.summary or {}).get("evaluation")
-    if own is None:
+    if own is None or "forward_share" not in own:
         return ["-"] * len(BEST_LAP_HEADER)
     return [
         f"{own[name] / getattr(best_lap, name):.2f}" if getattr(best_lap, name) else "-"
@@ -215,10 +213,11 @@ def _groups(findings: Findings) -> Iterator[str]:
     if len(findings.runs) < 2 or not findings.groups:
         return
     yield "## Groups"
-    header = ["group", "runs", "lapped", *(measure.name for measure in MEASURES)]
+    measures = measures_of(findings.runs)
+    header = ["group", "runs", "lapped", *(measure.name for measure in measures)]
     rows = []
     for group, figures in zip(findings.groups, findings.figures, strict=True):
-        counted, written = len(group.counted), [written_figure(figures.get(each.key), each) for each in MEASURES]
+        counted, written = len(group.counted), [written_figure(figures.get(each.key), each) for each in measures]
         rows.append([group.label, str(counted), f"{lapped(group)} of {counted}", *written])
     yield markdown(header, rows)
 

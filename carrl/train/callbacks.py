@@ -21,17 +21,16 @@ from carrl.env.track_env import TrackEnv
 from carrl.evaluation.results import EvaluationResult, Rollout
 from carrl.evaluation.rollout import rollout
 from carrl.log.messages import Metrics
-from carrl.log.scene import ObservationPart, Scene
+from carrl.log.scene import STATE_UNITS, ObservationPart, Scene
 from carrl.log.schema import Column, Schema
 from carrl.sim.simulator import Simulator
-from carrl.sim.vehicle import POSE
+from carrl.sim.vehicle import POSE, Rectangle
 
 if TYPE_CHECKING:
     from carrl.train.trainer import Trainer
 
 PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "mcap", "protobuf", "numpy", "numba")
 _GIT_TIMEOUT_S = 5.0
-_UNITS = "m, m, rad counter-clockwise from +x first"
 
 
 def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
@@ -49,7 +48,7 @@ def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
 
 def scene_of(env: TrackEnv) -> Scene:
     """The world of an environment, without its tracks, which a log has as attachments."""
-    vehicle, action = env.simulator.vehicle, env.task.action
+    vehicle, action, body = env.simulator.vehicle, env.task.action, env.simulator.vehicle.body
     return Scene(
         action_names=tuple(action.names),
         control_names=tuple(action.control_names),
@@ -58,8 +57,11 @@ def scene_of(env: TrackEnv) -> Scene:
         sensor_angles=env.sensor_angles.double().cpu().numpy(),
         sensor_range=env.sensor_range,
         time_step=vehicle.time_step,
-        body_radius=vehicle.body_radius,
+        body_radius=body.half_width,
         tracks=(),
+        body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
+        sensor_mount=float(env.simulator.sensor.mount),
+        friction=getattr(vehicle, "friction", None),
     )
 
 
@@ -70,6 +72,8 @@ def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
     state_key, width = "pose" if names == POSE else "state", env.observation_spec["observation"].shape[-1]
     terms = env.task.reward.term_names
     counts = "gates of the episode passed"
+    known = STATE_UNITS | {"heading": "rad counter-clockwise from +x"}
+    units = ", ".join(known.get(name, name) for name in names)
     if action.names:
         chosen = ", ".join(f"{number} {name}" for number, name in enumerate(action.names))
         actions = Column("action", "action", "int64", (), chosen, narrow=True)
@@ -88,13 +92,13 @@ def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
         Column("step", "step", "int64", (), "index of the transition within its episode, from 0", narrow=True),
         Column("car", "car", "int64", (), "index of the car among those simulated side by side, from 0", narrow=True),
         Column("track", "track", "int64", (), "index of the car's track among the attached ones", narrow=True),
-        Column("state", state_key, "float32", (len(names),), f"before the action: {_UNITS}", names),
+        Column("state", state_key, "float32", (len(names),), f"before the action: {units}", names),
         Column(
             "next_state",
             ("next", state_key),
             "float32",
             (len(names),),
-            f"after the action: {_UNITS}",
+            f"after the action: {units}",
             names,
         ),
         Column("next_gate", "next_gate", "int64", (), "index of the gate to pass next, before the action", narrow=True),

@@ -16,8 +16,10 @@ from torchrl import logger as torchrl_logger
 
 from carrl.config import build_node, foreign_targets, is_whole_number, module_of, name_for_trust
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
+from carrl.evaluation.results import Rollout
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
+from carrl.sim.vehicle import Rectangle
 from carrl.task.task import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
@@ -312,6 +314,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
 
     if run.best is not None:
         best, track = run.best.rollouts[run.best.shown], world.circuits.validation[run.best.shown]
+        body = world.vehicle.body
         draw_lap(
             run.folder.path / LAP,
             track,
@@ -320,8 +323,18 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
             world.sensor.angles.numpy(),
             best.actions,
             action_names=world.action.names,
-            body_radius=world.vehicle.body_radius,
+            body_radius=body.half_width,
+            body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
             sensor_range=world.sensor.max_range,
-            title=f"{track.name}: best greedy drive, reward {best.lap_reward:.0f}, {best.lap_steps} steps",
+            sensor_mount=world.sensor.mount,
+            title=f"{track.name}: best greedy drive, {_in_short(best, world)}",
             collided=best.collided,
+            speeds=best.speeds,
         )
+
+
+def _in_short(drive: Rollout, world: World) -> str:
+    """How good a drive was, in a few words."""
+    if drive.mean_speed is None:
+        return f"reward {drive.lap_reward:.0f}, {drive.lap_steps} steps"
+    return f"{drive.lap_steps * world.vehicle.time_step:.2f} s, {drive.mean_speed:.1f} m/s on average"

@@ -16,8 +16,9 @@ import yaml
 from torch import Tensor
 
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
+from carrl.evaluation.baselines import random_policy, rule_of
 from carrl.evaluation.results import Rollout, aggregate
-from carrl.evaluation.rollout import Policy, TrackEvaluator, random_policy, rule_policy, rule_world
+from carrl.evaluation.rollout import Policy, TrackEvaluator
 from carrl.log.reader import Log
 from carrl.task.task import World
 from carrl.tracks.circuits import Folder, load_folder
@@ -139,11 +140,9 @@ class Run:
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
         evaluator = TrackEvaluator(self.world, circuits, starts)
-        policies = [self._policy_of(folder, config, policy, checkpoint) for folder, config in chosen]
-        laps = [
-            evaluator.evaluate(each, rule_world(self.world) if each is rule_policy else self.world) for each in policies
-        ]
-        rule = evaluator.evaluate(rule_policy, rule_world(self.world)) if policy != "rule" else None
+        drivers = [self._driver(folder, config, policy, checkpoint) for folder, config in chosen]
+        laps = [evaluator.evaluate(each, world) for world, each in drivers]
+        rule = self._laps_of_the_rule(evaluator) if policy != "rule" else None
         step_length = self.world.vehicle.step_length
         document: dict[str, Any] = {
             "run": str(self.folder),
@@ -158,14 +157,23 @@ class Run:
             ]
         return document
 
-    def _policy_of(self, folder: Path, config: Config, policy: PolicyName, checkpoint: str) -> Policy:
+    def _driver(self, folder: Path, config: Config, policy: PolicyName, checkpoint: str) -> tuple[World, Policy]:
+        """What drives, and the world as that sees it."""
         if policy not in get_args(PolicyName):
             raise ConfigError(f"policy is {shown(policy)}; it must be {', '.join(get_args(PolicyName))}")
         if policy == "rule":
-            return rule_policy
+            return rule_of(self.world)
         if policy == "random":
-            return random_policy(checked_seed(config["seed"]), self.world.action)
-        return load_greedy_policy(folder, checkpoint, config, self.world)
+            return self.world, random_policy(checked_seed(config["seed"]), self.world.action)
+        return self.world, load_greedy_policy(folder, checkpoint, config, self.world)
+
+    def _laps_of_the_rule(self, evaluator: TrackEvaluator) -> Laps | None:
+        """None of a car that the rule cannot drive."""
+        try:
+            world, policy = rule_of(self.world)
+        except ConfigError:
+            return None
+        return evaluator.evaluate(policy, world)
 
 
 @dataclass(frozen=True)

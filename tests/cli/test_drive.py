@@ -12,7 +12,7 @@ from tests.configs import compose
 pygame = pytest.importorskip("pygame", reason="the window needs pygame; pip install 'carrl[render]'")
 
 from carrl.cli import drive  # noqa: E402 (after the check for pygame)
-from carrl.render.live import Window  # noqa: E402
+from carrl.render.window import Window  # noqa: E402
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_no_display_and_no_pygame_are_one_sentence_each(monkeypatch, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("carrl: no window can be opened: ")
     monkeypatch.setitem(sys.modules, "pygame", None)
-    monkeypatch.delitem(sys.modules, "carrl.render.live")
+    monkeypatch.delitem(sys.modules, "carrl.render.window")
     assert main(["drive"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "carrl: a window needs pygame, which is not installed; pip install 'carrl[render]'"

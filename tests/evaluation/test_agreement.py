@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from carrl import TrackEnv, Vehicle
-from carrl.evaluation.rollout import random_policy, rollout_laps, rule_policy
+from carrl.evaluation.baselines import random_policy, rule_policy
+from carrl.evaluation.rollout import rollout_laps
 from carrl.task.reward import Collision, Gate, Proximity, Reward, Shaping, Steering
 from tests.worlds import make_world
 

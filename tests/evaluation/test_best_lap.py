@@ -9,8 +9,9 @@ import torch
 
 from carrl.errors import ConfigError, TrackError
 from carrl.evaluation import best_lap
+from carrl.evaluation.baselines import rule_policy
 from carrl.evaluation.best_lap import find_best_lap
-from carrl.evaluation.rollout import rollout_laps, rule_policy
+from carrl.evaluation.rollout import rollout_laps
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import ContinuousActions, DiscreteActions
 from carrl.tracks.centreline import Centreline

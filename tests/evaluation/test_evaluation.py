@@ -7,7 +7,8 @@ import torch
 
 from carrl import Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError
-from carrl.evaluation.rollout import random_policy, rollout, rollout_laps, rule_policy
+from carrl.evaluation.baselines import random_policy, rule_policy
+from carrl.evaluation.rollout import rollout, rollout_laps
 from carrl.sim.simulator import Simulator
 from tests.worlds import make_world
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 
+from carrl.evaluation.baselines import rule_policy
 from carrl.evaluation.results import EvaluationResult, aggregate, mean_interval, rate_interval, share_interval
-from carrl.evaluation.rollout import rollout_laps, rule_policy
+from carrl.evaluation.rollout import rollout_laps
 from tests.worlds import make_world
 
 Z = 1.959964

@@ -10,6 +10,7 @@ from PIL import Image
 
 from carrl.errors import CarrlError
 from carrl.render import round_number
+from carrl.render.car import ray_ends
 from carrl.render.colours import BLACK, BLUE, GREEN, LIGHT, VERMILLION, YELLOW, rgb
 from carrl.render.curves import (
     DOT,
@@ -23,8 +24,8 @@ from carrl.render.curves import (
     new_figure,
     save_figure,
 )
-from carrl.render.lap import TrackMap, draw_lap, draw_track_map, prevailing_actions
-from carrl.render.scene import ray_ends
+from carrl.render.lap import draw_lap, prevailing_actions
+from carrl.render.track_map import TrackMap, draw_track_map
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle

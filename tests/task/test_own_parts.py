@@ -10,7 +10,8 @@ from torchrl.envs.utils import check_env_specs
 
 from carrl import ContinuousActions, DiscreteActions, GymTrackEnv, Sensor, Start, TrackEnv, rays_and_last_action
 from carrl.errors import ConfigError
-from carrl.evaluation.rollout import random_policy, rollout_laps, rule_policy
+from carrl.evaluation.baselines import random_policy, rule_policy
+from carrl.evaluation.rollout import rollout_laps
 from carrl.task.observation import Observation, Part
 from carrl.task.reward import LAP_TERMS, Collision, Gate, Proximity, Reward, Shaping, Steering
 from carrl.task.task import make_task

@@ -7,8 +7,9 @@ import pytest
 
 from carrl.cli.text.console import print_summaries, print_summary
 from carrl.cli.text.many_runs import _figures, _result
+from carrl.evaluation.baselines import rule_policy
 from carrl.evaluation.results import EvaluationResult
-from carrl.evaluation.rollout import rollout_laps, rule_policy
+from carrl.evaluation.rollout import rollout_laps
 from carrl.report.findings import find
 from carrl.report.text import runs_table
 from carrl.train.build import build_pipeline

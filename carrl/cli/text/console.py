@@ -18,6 +18,7 @@ from rich.text import Text
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
 from carrl.errors import printable
+from carrl.evaluation.results import styles_of
 from carrl.report.runs import missing_lap
 from carrl.train.callbacks import Callback
 from carrl.train.experiment import road_warning
@@ -161,8 +162,16 @@ def print_summary(summary: Mapping[str, Any], folder: Path) -> None:
 def print_summaries(summaries: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """Prints a line for each of several seeds; `carrl report` has more."""
     columns = _OFFLINE_COLUMNS if _is_offline(summaries[0]) else _COLUMNS
-    rows = [[value_of(summary) for value_of in columns.values()] for summary in summaries]
-    print_table(f"{len(rows)} seeds on track {summaries[0]['track']}", tuple(columns), rows)
+    styles = [style for style in styles_of(each["evaluation"] for each in summaries) if style.key != "reversals"]
+    rows = [
+        [
+            *(value_of(summary) for value_of in columns.values()),
+            *(style.written(summary["evaluation"]) for style in styles),
+        ]
+        for summary in summaries
+    ]
+    header = (*columns, *(style.name for style in styles))
+    print_table(f"{len(rows)} seeds on track {summaries[0]['track']}", header, rows)
     Console().print(_place(folder), soft_wrap=True, highlight=False)
 
 
@@ -188,8 +197,6 @@ def _is_offline(summary: Mapping[str, Any]) -> bool:
 
 _DRIVE_COLUMNS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "reward": lambda summary: f"{summary['evaluation']['lap_reward']:.0f}",
-    "forward": lambda summary: f"{summary['evaluation']['forward_share']:.0%}",
-    "switches / 100 m": lambda summary: f"{summary['evaluation']['switches_per_100m']:.1f}",
 }
 _COLUMNS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "seed": lambda summary: str(summary["seed"]),
@@ -229,8 +236,7 @@ def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             ("greedy lap" if _is_offline(summary) else "best greedy lap", _how_far(best)),
             ("its reward", f"{best['lap_reward']:.0f}"),
             ("its steps", f"{best['lap_steps']}"),
-            ("forward share", f"{best['forward_share']:.0%}"),
-            ("switches per 100 m", f"{best['switches_per_100m']:.1f}"),
+            *((style.name, style.written(best)) for style in styles_of([best]) if style.key != "reversals"),
         ]
     return rows
 

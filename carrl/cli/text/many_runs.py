@@ -107,13 +107,15 @@ def _figures(summaries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     lapped = sum(drive["lap_completed"] for drive in drives)
     if not drives:
         return ("", "none", "", "", "")
-    values = [median(drive[key] for drive in drives) for key in ("progress", "lap_reward", "forward_share")]
+    values = [median(drive[key] for drive in drives) for key in ("progress", "lap_reward")]
+    key = "mean_speed" if "mean_speed" in drives[0] else "forward_share"
+    style = median(drive.get(key, math.nan) for drive in drives)
     return (
         f"{lapped} of {len(summaries)}",
         f"{median(first_laps):,.0f}" if first_laps else max(missing_lap(each, "none") for each in summaries),
         f"{values[0]:.0%}",
         f"{values[1]:.0f}",
-        f"{values[2]:.0%}",
+        f"{style:.1f} m/s" if key == "mean_speed" else "" if math.isnan(style) else f"{style:.0%}",
     )
 
 

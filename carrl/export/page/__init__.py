@@ -18,8 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from carrl.files import write_whole
+from carrl.log.scene import STATE_UNITS
 from carrl.log.trace import EpisodeTrace
-from carrl.render.episode import EpisodeScene, connected_walls, steps_of
+from carrl.render import MOST_SEEN
+from carrl.render.colours import LIGHT
+from carrl.render.episode import EpisodeScene, connected_walls
+from carrl.render.trail import speed_span, steps_of, trail_colours
 
 PARTS = Path(__file__).parent
 SCRIPTS = (
@@ -33,6 +37,7 @@ SCRIPTS = (
     "stage.js",
     "plot.js",
     "charts.js",
+    "instruments.js",
     "readings.js",
     "player.js",
     "link.js",
@@ -107,7 +112,9 @@ def _json_in_html(document: dict[str, Any]) -> str:
 def _episode(trace: EpisodeTrace) -> dict[str, Any]:
     """What `episode.js` reads: names and single numbers as JSON, the rest as arrays."""
     scene, track = trace.scene, trace.track
-    lines, columns = connected_walls(track), EpisodeScene(trace).columns
+    lines, drawn = connected_walls(track), EpisodeScene(trace)
+    columns = [*drawn.controls, *drawn.columns]
+    palette, shades = trail_colours(trace, LIGHT)
     return {
         "episode": trace.episode,
         "car": trace.car,
@@ -115,15 +122,24 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
         "startTime": float(trace.times[0]),
         "timeStep": scene.time_step,
         "actionNames": scene.action_names,
+        "hasNamedActions": trace.controls is None,
+        "controlNames": [] if trace.controls is None else scene.control_names,
         "termNames": scene.reward_terms,
         "sensorRange": scene.sensor_range,
+        "rangeSeen": min(scene.sensor_range, MOST_SEEN),
         "sensorAngles": scene.sensor_angles.tolist(),
+        "sensorMount": scene.sensor_mount,
         "bodyRadius": scene.body_radius,
+        "bodySize": scene.body_size,
+        "friction": scene.friction,
+        "speedSpan": None if trace.speeds is None else speed_span(trace.speeds),
+        "shadeCount": len(palette),
         "trackName": track.name,
         "trackLength": track.length,
         "bounds": track.bounds,
         "wallLines": [len(line) for line in lines],
         "series": [{"title": _capitalised(series.title), "entries": series.entries} for series in columns],
+        "units": STATE_UNITS,
         "gatesBefore": int(trace.gates_passed[0]),  # of the record
         "passings": trace.passings,  # row of the step, index of the gate
         "arrays": {
@@ -135,6 +151,7 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
             "ranges": _packed(trace.ranges, "<f4"),  # [T + 1, R]
             "times": _packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
             "actions": _packed(trace.actions, "|u1"),  # [T]
+            "shades": _packed(shades, "|u1"),  # [T]
             "exploratory": _packed(trace.exploratory, "|u1"),  # [T]
             "rewards": _packed(trace.rewards, "<f4"),  # [T]
             "terms": _packed(trace.reward_terms, "<f4"),  # [T, K]

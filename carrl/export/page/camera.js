@@ -26,10 +26,10 @@ function wholeCamera(episode, rectangle, margin) {
   return makeCamera(rectangle, (left + right) / 2, (bottom + top) / 2, Math.max(scale, 1e-6));
 }
 
-// The car's surroundings, a little farther than its sensors reach.
+// The car's surroundings, a little farther than its sensors reach, if that is not too far.
 function followCamera(episode, rectangle, position) {
   const [x, y] = poseAt(episode, position);
-  const scale = Math.min(rectangle.width, rectangle.height) / (2.6 * episode.sensorRange);
+  const scale = Math.min(rectangle.width, rectangle.height) / (2.6 * episode.rangeSeen);
   return makeCamera(rectangle, x, y, scale);
 }
 

@@ -3,25 +3,24 @@
 const CAR_LEAST = 6.5; // radius of the smallest car that is drawn, px
 const FLASH_STEPS = 8; // how long a gate that was passed shines
 
-// The way driven between two positions, each step in the colour of its action.
+// The way driven between two positions, each step in the colour of its action or of its speed.
 function drawTrail(context, episode, camera, colours, from, to) {
   context.lineWidth = clamp(0.5 * camera.scale, 2, 3.5);
   context.lineCap = context.lineJoin = "round";
-  const count = episode.actionNames.length;
-  for (let action = 0; action < count; action++) {
-    context.strokeStyle = colours[actionColour(action)];
+  trailColours(episode, colours).forEach((colour, shade) => {
+    context.strokeStyle = colour;
     context.beginPath();
-    traceAction(context, episode, camera, action, from, to);
+    traceShade(context, episode, camera, shade, from, to);
     context.stroke();
-  }
+  });
 }
 
-function traceAction(context, episode, camera, action, from, to) {
-  const { actions, poses } = episode;
+function traceShade(context, episode, camera, shade, from, to) {
+  const { shades, poses } = episode;
   let joined = false;
   for (let step = stepAt(from); step < to; step++) {
     const at = 3 * step;
-    const shown = actions[step] === action && goesOn(episode, step) && camera.sees(poses[at], poses[at + 1], 80);
+    const shown = shades[step] === shade && goesOn(episode, step) && camera.sees(poses[at], poses[at + 1], 80);
     if (shown) {
       const [x, y] = step + 1 <= to ? [poses[at + 3], poses[at + 4]] : poseAt(episode, to);
       if (!joined) context.moveTo(camera.toX(poses[at]), camera.toY(poses[at + 1]));
@@ -47,7 +46,9 @@ function drawFlash(context, episode, camera, colours, position) {
 
 // A line for each ray, and a dot where it ends at a wall and not at the sensor's range.
 function drawRays(context, episode, camera, colours, position) {
-  const [x, y, heading] = poseAt(episode, position);
+  const [middleX, middleY, heading] = poseAt(episode, position);
+  const x = middleX + episode.sensorMount * Math.cos(heading);
+  const y = middleY + episode.sensorMount * Math.sin(heading);
   const thickness = clamp(0.2 * camera.scale, 1, 2);
   for (let ray = 0; ray < episode.rays; ray++) {
     const range = rangeAt(episode, position, ray);
@@ -62,7 +63,7 @@ function drawRays(context, episode, camera, colours, position) {
   }
 }
 
-// The car's disc, to scale unless that is too small to see, with a nose in front of it.
+// The car's disc or rectangle, to scale unless that is too small to see, with its nose marked.
 function drawCar(context, episode, camera, colours, position) {
   const [x, y, heading] = poseAt(episode, position);
   const radius = Math.max(episode.bodyRadius * camera.scale, CAR_LEAST);
@@ -73,10 +74,47 @@ function drawCar(context, episode, camera, colours, position) {
   context.lineJoin = "round";
   context.strokeStyle = colours.rim;
   context.fillStyle = colours.car;
-  drawNose(context, radius);
-  fillDisc(context, 0, 0, radius);
-  context.stroke();
+  if (episode.bodySize) {
+    drawRectangle(context, episode, camera, colours, position);
+  } else {
+    drawNose(context, radius);
+    fillDisc(context, 0, 0, radius);
+    context.stroke();
+  }
   context.restore();
+}
+
+// Along the x axis of the context, with a windscreen, and front wheels as they stand where there is room for them.
+function drawRectangle(context, episode, camera, colours, position) {
+  const grown = Math.max(1, (2 * CAR_LEAST) / (episode.bodySize[0] * camera.scale));
+  const [length, width] = episode.bodySize.map((size) => size * camera.scale * grown);
+  context.lineWidth = clamp(0.06 * width, 1.2, 2.5);
+  if (width >= 10) drawWheels(context, colours, length, width, valuesNamed(episode, "steering")?.(stepAt(position)) ?? 0);
+  context.fillStyle = colours.car;
+  context.beginPath();
+  context.rect(-length / 2, -width / 2, length, width);
+  context.fill();
+  context.stroke();
+  context.fillStyle = colours.rim;
+  context.beginPath();
+  context.moveTo(0.22 * length, -0.4 * width);
+  context.lineTo(0.47 * length, 0);
+  context.lineTo(0.22 * length, 0.4 * width);
+  context.closePath();
+  context.fill();
+}
+
+function drawWheels(context, colours, length, width, steering) {
+  context.fillStyle = colours.rim;
+  for (const [along, angle] of [[-0.3, 0], [0.3, -steering]]) {
+    for (const side of [-1, 1]) {
+      context.save();
+      context.translate(along * length, side * 0.5 * width);
+      context.rotate(angle);
+      context.fillRect(-0.09 * length, -0.11 * width, 0.18 * length, 0.22 * width);
+      context.restore();
+    }
+  }
 }
 
 function drawNose(context, radius) {

@@ -1,6 +1,6 @@
 // The episode as the log has it, and what follows from it.
 // T steps, R rays, A actions, K terms of the reward. Lengths in metres, angles in radians, times in seconds.
-// A series has numbers of the log by its entries, [T, entries]; `perAction` is one of a number for each action, if any.
+// A series has numbers of the log by its entries, [T, entries] or [T + 1, entries]; `perAction` is one of a number for each action, if any.
 // A position is a recorded step and the share of it that is driven, 0..T; at T the last step is done. A step's number is
 // that within the episode: it is larger where the log lacks steps.
 
@@ -72,6 +72,25 @@ function gatesPassedAt(episode, position) {
     else high = middle;
   }
   return low;
+}
+
+// A function from a step to the value of an entry of the log's columns, such as "speed"; undefined if it has none such.
+function valuesNamed(episode, name) {
+  for (const { entries, values } of episode.series) {
+    const index = entries.indexOf(name);
+    if (index >= 0) return (step) => values[step * entries.length + index];
+  }
+  return undefined;
+}
+
+// The colours of the line driven, which the shades of the steps count: by speed, or if that does not vary by action.
+function trailColours(episode, colours) {
+  if (!episode.speedSpan) return episode.actionNames.map((_, action) => colours[actionColour(action)]);
+  return Array.from({ length: episode.shadeCount }, (_, shade) => {
+    const place = (4 * shade) / (episode.shadeCount - 1);
+    const before = Math.min(Math.floor(place), 3);
+    return mix(colours[`speed-${before}`], colours[`speed-${before + 1}`], place - before);
+  });
 }
 
 const actionName = (episode, action) => episode.actionNames[action] ?? `action ${action}`;

@@ -4,6 +4,12 @@ const episode = await readEpisode();
 const player = makePlayer(episode, show);
 const showReadings = makeReadings(episode);
 const writeStep = makeLinkWriter(episode);
+const hasDials = instrumentsOf(episode).length > 0;
+const hasSpeed = valuesNamed(episode, "speed") !== undefined;
+byId("instruments").hidden = !hasDials && !hasSpeed;
+byId("dials").hidden = !hasDials;
+byId("speed-chart").hidden = !hasSpeed;
+byId("sensors").hidden = episode.rays === 0;
 let stage;
 let charts;
 
@@ -14,6 +20,8 @@ function repaint() {
   charts = {
     ...(episode.perAction && { values: makeValueChart(episode, colours, byId("value-chart")) }),
     rewards: makeRewardChart(episode, colours, byId("reward-chart")),
+    ...(hasDials && { dials: makeInstruments(episode, colours, byId("dials")) }),
+    ...(hasSpeed && { speeds: makeSpeedChart(episode, colours, byId("speed-chart")) }),
     sensors: makeSensorChart(episode, colours, byId("sensor-bars")),
     events: makeEventChart(episode, colours, byId("events")),
   };
@@ -45,6 +53,7 @@ showFacts(episode);
 repaint();
 const seekable = [
   ...(episode.perAction ? [[byId("value-chart"), () => charts.values.plots]] : []),
+  ...(hasSpeed ? [[byId("speed-chart"), () => charts.speeds.plots]] : []),
   [byId("reward-chart"), () => charts.rewards.plots.sum],
 ];
 connectControls(episode, player, seekable, repaint);

@@ -26,6 +26,12 @@ function showFacts(episode) {
 }
 
 function showLegend(episode) {
+  if (episode.speedSpan) {
+    const [least, greatest] = episode.speedSpan.map((speed) => formatNumber(speed, 1));
+    byId("legend").setAttribute("aria-label", "Speed");
+    byId("legend").replaceChildren(element("li", "", `speed ${least}`, element("span", "speed-bar"), `${greatest} m/s`));
+    return;
+  }
   const shares = actionShares(episode);
   const items = shares.map((share, action) => {
     const percent = element("span", "wide", `${Math.round(100 * share)} %`);
@@ -47,6 +53,7 @@ function makeReadings(episode) {
     shown = step;
     showMoment(episode, step);
     showNumbers(episode, step, numbers);
+    showSpeed(episode, step);
     if (episode.perAction) showValues(episode, step, rows);
     showTerms(episode, step, terms);
     showNearest(episode, step);
@@ -71,7 +78,16 @@ function showMoment(episode, step) {
   showReward(byId("read-reward"), over ? null : episode.rewards[step]);
 }
 
+function showSpeed(episode, step) {
+  const speed = valuesNamed(episode, "speed")?.(step);
+  if (speed !== undefined) byId("read-speed").textContent = `${formatNumber(speed, 1)} m/s · ${formatNumber(3.6 * speed, 0)} km/h`;
+}
+
 function chosenAction(episode, step) {
+  if (!episode.hasNamedActions) {
+    const controls = episode.controlNames.map((name) => `${name} ${formatSigned(valuesNamed(episode, name)(step))}`);
+    return element("span", "controls", ...controls.map((text) => element("span", "", text)));
+  }
   const action = episode.actions[step];
   const random = episode.exploratory[step] === 1;
   return element(
@@ -85,22 +101,26 @@ function showReward(place, reward) {
   place.className = reward > 0 ? "good" : reward < 0 ? "bad" : "";
 }
 
-// A cell for each entry of the series that are not charts.
+// A cell for each entry of the series that are not charts or instruments.
 function makeNumberCells(episode) {
+  const shown = new Set(["speed", "steering", "acceleration", "lateral_acceleration", ...episode.controlNames]);
   const cells = episode.series.filter((series) => series !== episode.perAction).flatMap(({ entries, values }) => {
-    return entries.map((entry, index) => {
+    return entries.flatMap((entry, index) => {
+      if (shown.has(entry)) return [];
       const place = element("dd", "");
       place.id = `read-${entry.replaceAll(/\W+/g, "-")}`;
-      byId("read-return").parentElement.before(element("div", "", element("dt", "", entry), place));
-      return { place, valueAt: (step) => values[step * entries.length + index] };
+      byId("read-return").parentElement.before(element("div", "", element("dt", "", entry.replaceAll("_", " ")), place));
+      return { place, unit: episode.units[entry], valueAt: (step) => values[step * entries.length + index] };
     });
   });
   return cells;
 }
 
 function showNumbers(episode, step, cells) {
-  const over = step >= episode.steps;
-  for (const { place, valueAt } of cells) place.textContent = over ? "–" : formatNumber(valueAt(step), 3);
+  for (const { place, unit, valueAt } of cells) {
+    const value = valueAt(step); // of some there is none after the last step
+    place.textContent = value === undefined ? "–" : unit ? `${formatNumber(value, 2)} ${unit}` : formatNumber(value, 3);
+  }
 }
 
 function makeTermCells(episode) {

@@ -3,6 +3,7 @@
 const COLOUR_NAMES = [
   "card", "line", "ink", "faint", "button", "ground", "road", "wall", "gate", "rim", "car",
   "action-0", "action-1", "action-2", "action-other", "good", "bad",
+  "speed-0", "speed-1", "speed-2", "speed-3", "speed-4",
 ];
 const darkScheme = matchMedia("(prefers-color-scheme: dark)");
 

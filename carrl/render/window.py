@@ -1,0 +1,62 @@
+"""A window on the display."""
+
+import os
+import sys
+import warnings
+from typing import Any
+
+from carrl.errors import ConfigError
+from carrl.render.canvas import Picture
+
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
+
+
+class Window:
+    """A window on the display that shows pictures at a steady pace.
+
+    Args:
+        size: width and height, px.
+        title: above it.
+
+    Raises:
+        ConfigError: there is no display, or no pygame.
+    """
+
+    def __init__(self, size: tuple[int, int], title: str) -> None:
+        """Opens it."""
+        self._pygame = pygame = _import_pygame()
+        try:
+            # Without a display SDL 2.28 draws where nobody can see it, instead of failing.
+            if sys.platform == "linux" and not any(name in os.environ for name in _DISPLAYS):
+                raise pygame.error("no display was found")
+            pygame.display.init()
+            self._screen = pygame.display.set_mode(size)
+        except pygame.error as error:
+            pygame.display.quit()
+            raise ConfigError(f"no window can be opened: {error}; render_mode='rgb_array' needs no display") from error
+        pygame.display.set_caption(title)
+        self._clock = pygame.time.Clock()
+
+    def show(self, picture: Picture, fps: float) -> None:
+        """Shows a picture [H, W, 3], no sooner than 1 / fps seconds after the one before."""
+        pygame, (height, width) = self._pygame, picture.shape[:2]
+        self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
+        pygame.event.pump()
+        self._clock.tick(fps)
+        pygame.display.flip()
+
+    def close(self) -> None:
+        """Closes it; twice is no harm."""
+        self._pygame.display.quit()
+
+
+def _import_pygame() -> Any:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        with warnings.catch_warnings():
+            # pygame 2.6 imports setuptools' pkg_resources where that exists, which then warns of its own end.
+            warnings.filterwarnings("ignore", ".*pkg_resources")
+            import pygame
+    except ImportError as error:
+        raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
+    return pygame
