@@ -221,7 +221,6 @@ def _transform(time_ns: int, x: float, y: float, heading: float) -> fg.FrameTran
 
 def _scan(time_ns: int, ranges: list[float], scene: Scene) -> fg.LaserScan:
     first, last = scene.sensor_angles[[0, -1]].tolist()
-    pose = _pose(scene.sensor_mount)
     return fg.LaserScan(
         timestamp=_stamp(time_ns),
         frame_id=CAR_FRAME,

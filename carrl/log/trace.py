@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,10 +161,10 @@ class EpisodeTrace:
         return np.asarray(self.origins[:, None] + self.ranges[:, :, None] * directions)
 
 
-def ray_origins(poses: Floats, mount: float) -> Floats:
+def ray_origins(poses: NDArray[np.floating[Any]], mount: float) -> Floats:
     """Where the rays of cars at poses [..., 3] begin that are mounted so far ahead of the middle, [..., 2], m."""
     ahead = np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
-    return np.asarray(poses[..., :2] + mount * ahead)
+    return np.asarray(poses[..., :2] + mount * ahead, dtype=np.float64)
 
 
 def read_scene(log: Log) -> Scene:

@@ -132,4 +132,5 @@ def gif_palette() -> NDArray[np.uint8]:
     mixed = np.linspace(0, 1, _SHADES)[:, None]
     pairs = [(PAPER, colour) for colour in _FOREGROUNDS] + [(LIGHT.road, colour) for colour in _FOREGROUNDS]
     ways = [(1 - mixed) * rgb(ground) + mixed * rgb(colour) for ground, colour in [*pairs, (LIGHT.car, INK)]]
+    ways.append(np.array([rgb(shade) for shade in LIGHT.speed_shades], dtype=np.float64))
     return np.unique(np.round(np.vstack(ways)).astype(np.uint8), axis=0)

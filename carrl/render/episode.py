@@ -227,6 +227,11 @@ class EpisodeScene:
         """The others of these columns."""
         return [series for series in self.columns if series is not self.per_action]
 
+    @property
+    def told(self) -> list[Series]:
+        """Those of them that the algorithm told, and not the car."""
+        return [series for series in self.numbers if series.name in self.trace.columns and series.name != "state"]
+
     def _entries(self, column: str, width: int) -> tuple[str, ...]:
         """What the values of a column's row are called."""
         actions = self.trace.scene.action_names

@@ -196,8 +196,8 @@ def _draw_speed_bar(canvas: Canvas, right: float, y: float, low: float, high: fl
     canvas.text((x, y + 3), greatest, _TEXT, INK)
     x -= _BAR + 5
     each = _BAR / len(LIGHT.speed_shades)
-    for index, shade in enumerate(LIGHT.speed_shades):
-        canvas.box(x + index * each, y - 3, each + 0.3 * (index < len(LIGHT.speed_shades) - 1), 6, shade)
+    for index, shade in enumerate(LIGHT.speed_shades):  # each to the end: no background shines through between two
+        canvas.box(x + index * each, y - 3, _BAR - index * each, 6, shade)
     x -= 5 + text_width(least, _TEXT)
     canvas.text((x, y + 3), least, _TEXT, INK)
     x -= 7 + text_width("speed", _TEXT)

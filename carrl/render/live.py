@@ -128,8 +128,17 @@ class FollowPicture:
         draw_ground(self._canvas, view, ground, SCREEN, (car.next_gate,))
         self._draw_trail(view, car)
         self._draw_rays(view, car)
-        look = {"body_size": self._car.body_size, "steer": car.steer, "collided": car.collided}
-        draw_car(self._canvas, view, car.pose, self._car.body_radius, SCREEN, **look)
+        look = self._car
+        draw_car(
+            self._canvas,
+            view,
+            car.pose,
+            look.body_radius,
+            SCREEN,
+            body_size=look.body_size,
+            steer=car.steer,
+            collided=car.collided,
+        )
         self._write_labels(view, ground, car)
         self._draw_map(ground, car)
         self._draw_figures(ground, car)

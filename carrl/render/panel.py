@@ -10,7 +10,7 @@ import numpy as np
 
 from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
-from carrl.render.canvas import Canvas, Stroke, fitted
+from carrl.render.canvas import Canvas, Stroke, fitted, text_width
 from carrl.render.colours import BLUE, FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION
 from carrl.render.encoding import RULE
 from carrl.render.episode import EpisodeScene
@@ -23,10 +23,21 @@ BARS, BARS_WIDTH = 1020.0, 150.0
 """Where the bars of the actions' values stand, between the actions' names and the figures."""
 ROW, GAP = 29.0, 46.0
 """Height of a row, and distance between two parts."""
+SCALE_WIDTH = 150.0
+"""Of the colours of the speeds."""
+MOST_VALUES = 7
+"""Of actions, each with a bar."""
+LEAST_DOWN = -1.0
+"""A throttle or brake of its own that is released."""
+CONTROL_COLOURS = {
+    **{("pedal", True): GREEN, ("pedal", False): VERMILLION, ("throttle", True): GREEN, ("throttle", False): GREEN},
+    **{("brake", True): VERMILLION, ("brake", False): VERMILLION},
+}
+"""By the name of the control, and whether it is above 0; of all others blue."""
 LONGEST = 100_000
 """Values from here on are written with an exponent."""
-NAME_LENGTH = 10
-"""Letters of an action's name that have room before the bars."""
+NAME_WIDTH, SMALLEST_NAME = BARS - LEFT - 6, 11.0
+"""Room for an action's name before the bars, and how small its letters may become to fit in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +58,7 @@ class Panel:
         canvas.line([(EDGE, 0), (EDGE, HEIGHT)], Stroke(RULE, 2))
         y = self._draw_counters(canvas, step, share, 34)
         y = self._draw_action(canvas, step, y)
+        y = self._draw_speed(canvas, step, share, y)
         y = self._draw_action_values(canvas, step, y)
         y = self._draw_reward(canvas, step, y)
         self._draw_return(canvas, step + share, y)
@@ -73,17 +85,50 @@ class Panel:
         return y + 30 + GAP
 
     def _draw_action(self, canvas: Canvas, step: int, y: float) -> float:
+        if self.trace.controls is not None:
+            return self._draw_controls(canvas, self.trace.controls, step, y)
         action = int(self.trace.actions[step])
         how, colour = ("at random", VERMILLION) if self.trace.exploratory[step] else ("greedy", FAINT)
         numbers = [
             f"{name} {series.values[step, index]:.2f}"
-            for series in self._scene.numbers
+            for series in self._scene.told
             for index, name in enumerate(series.entries)
         ]
         y = _draw_heading(canvas, y, "action", fitted("  ".join(numbers), 18, RIGHT - LEFT - 70))
         canvas.disc((LEFT + 9, y + 23), 9, self.colours[action])
         canvas.text((LEFT + 28, y + 31), self.trace.scene.action_names[action], 23, INK, bold=True)
         canvas.text((RIGHT, y + 31), how, 18, colour, anchor="rs")
+        return y + 31 + GAP
+
+    def _draw_controls(self, canvas: Canvas, controls: Floats, step: int, y: float) -> float:
+        """A bar for each control, from its middle, or for a throttle or brake of its own from where it is released."""
+        trace = self.trace
+        how = "" if "exploratory" not in trace.columns else "at random" if trace.exploratory[step] else "greedy"
+        y = _draw_heading(canvas, y, "action", how)
+        for name, value in zip(trace.scene.control_names, controls[step], strict=True):
+            y += ROW
+            rest = LEAST_DOWN if name in ("throttle", "brake") else 0.0
+            end = -value if name == "steer" else value  # left is left
+            left, right = (BARS + (each + 1) / 2 * BARS_WIDTH for each in sorted((rest, float(end))))
+            colour = CONTROL_COLOURS.get((name, value > 0), BLUE)
+            canvas.box(BARS, y - 15, BARS_WIDTH, 18, RULE)
+            canvas.box(left, y - 15, right - left, 18, colour)
+            zero = BARS + (rest + 1) / 2 * BARS_WIDTH
+            canvas.line([(zero, y - 18), (zero, y + 6)], Stroke(FAINT, 1))
+            _draw_name(canvas, y, name)
+            canvas.text((RIGHT, y), f"{value:+.2f}", 18, INK, anchor="rs")
+        return y + GAP
+
+    def _draw_speed(self, canvas: Canvas, step: int, share: float, y: float) -> float:
+        """The speed of a car that has one of its own."""
+        speeds = self.trace.state("speed")
+        if speeds is None:
+            return y
+        speed = speeds[step] + share * (speeds[step + 1] - speeds[step])
+        y = _draw_heading(canvas, y, "speed", f"{speed:.1f} m/s")
+        canvas.text((LEFT, y + 31), f"{3.6 * speed:.0f} km/h", 23, INK, bold=True)
+        if self.trace.speeds is not None:
+            _draw_scale(canvas, y + 18, (speed - speeds.min()) / np.ptp(speeds))
         return y + 31 + GAP
 
     def _draw_action_values(self, canvas: Canvas, step: int, y: float) -> float:
@@ -96,9 +141,13 @@ class Panel:
         scale = BARS_WIDTH / (high - low)
         zero = BARS - low * scale
         y = top = _draw_heading(canvas, y, series.title)
-        for action, (name, value) in enumerate(zip(series.entries, series.values[step], strict=True)):
+        actions = list(range(len(series.entries)))
+        if len(actions) > MOST_VALUES:  # the greatest, the greatest first
+            actions = np.argsort(-series.values[step], kind="stable")[:MOST_VALUES].tolist()
+        for action in actions:
+            name, value = series.entries[action], series.values[step, action]
             y, chosen = y + ROW, action == self.trace.actions[step]
-            canvas.text((LEFT, y), name[:NAME_LENGTH], 18, INK, bold=chosen)
+            _draw_name(canvas, y, name, chosen)
             bar = float(np.nan_to_num(value, posinf=high, neginf=low)) * scale
             canvas.box(min(zero, zero + bar), y - 15, abs(bar), 18, self.colours[action])
             shown = f"{value:,.1f}" if abs(value) < LONGEST else f"{value:.1e}"
@@ -143,6 +192,22 @@ def _draw_heading(canvas: Canvas, y: float, name: str, value: str = "", bold: bo
     canvas.text((LEFT, y + 4), name, 18, FAINT)
     canvas.text((RIGHT, y + 4), value, 20 if bold else 18, INK if bold else FAINT, bold=bold, anchor="rs")
     return y + 4
+
+
+def _draw_name(canvas: Canvas, y: float, name: str, bold: bool = False) -> None:
+    """At the left, as small as it has to be."""
+    size = max(SMALLEST_NAME, min(18.0, 18 * NAME_WIDTH / text_width(name, 18, bold=True)))
+    canvas.text((LEFT, y), fitted(name, size, NAME_WIDTH), size, INK, bold=bold)
+
+
+def _draw_scale(canvas: Canvas, y: float, share: float) -> None:
+    """The colours of the speeds from the least to the greatest, and a mark at the share of the way between them."""
+    shades, left = LIGHT.speed_shades, RIGHT - SCALE_WIDTH
+    each = SCALE_WIDTH / len(shades)
+    for index, shade in enumerate(shades):  # each to the end, so that no background shines through between two
+        canvas.box(left + index * each, y, SCALE_WIDTH - index * each, 10, shade)
+    at = left + share * SCALE_WIDTH
+    canvas.area([[(at, y - 2), (at - 5, y - 10), (at + 5, y - 10)]], INK)
 
 
 def _signed(value: float) -> str:

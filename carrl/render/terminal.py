@@ -67,6 +67,11 @@ def action_inks(names: Sequence[str], coloured: bool) -> list[Ink]:
     return [Ink(letter) for letter in letters]
 
 
+def speed_inks(coloured: bool) -> list[Ink]:
+    """From the least to the greatest speed: colours, or else a digit for each tenth."""
+    return [Ink("braille", colour) for colour in DARK.speeds] if coloured else [Ink(digit) for digit in "0123456789"]
+
+
 class Chart:
     """An empty chart, `width` characters wide and `height` lines high, title and axes included."""
 

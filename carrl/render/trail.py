@@ -3,6 +3,8 @@
 Shapes: `T` steps, `N` steps whose way is known.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,11 +35,11 @@ def trail_colours(trace: EpisodeTrace, theme: Theme) -> tuple[tuple[str, ...], N
     return theme.speed_shades, speed_shades_of(trace.speeds[:-1], *speed_span(trace.speeds))
 
 
-def speed_span(speeds: Floats) -> tuple[float, float]:
+def speed_span(speeds: NDArray[np.floating[Any]]) -> tuple[float, float]:
     """Between which speeds, m/s, colours differ."""
     return float(speeds.min()), float(speeds.max())
 
 
-def speed_shades_of(speeds: Floats, low: float, high: float) -> NDArray[np.int64]:
+def speed_shades_of(speeds: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.int64]:
     """Which of the `SHADES` colours each of the speeds has, [T]."""
     return np.clip((speeds - low) / (high - low) * SHADES, 0, SHADES - 1).astype(np.int64)

@@ -16,6 +16,8 @@ from carrl.log.messages import Episode
 from carrl.log.scene import Floats, Scene, TrackShape
 
 NO_EPISODE = "no episode has ended in this log, so there is nothing to say of returns, lengths, laps and crashes"
+CONTROL_EDGES = np.linspace(-1, 1, 9)
+"""Between which controls are counted, B + 1 of them."""
 GREATEST_RETURN = 1e300
 """With greater ones, sums and differences would not be numbers."""
 CHUNK = 2**17
@@ -36,6 +38,7 @@ class LogStats:
         collided: whether it ended at a wall, and not by the time limit, [E].
         tracks: index of its track among the scene's, [E].
         ends: where it ended, [E, 2], m.
+        control_counts: where actions are numbers, how many of each control lay between two of `CONTROL_EDGES`, [C, B].
     """
 
     scene: Scene
@@ -47,10 +50,15 @@ class LogStats:
     collided: NDArray[np.bool_]
     tracks: NDArray[np.int64]
     ends: Floats
+    control_counts: NDArray[np.int64] | None = None
 
     @staticmethod
     def of(
-        episodes: Sequence[Episode], scene: Scene, action_counts: NDArray[np.int64], exploratory_share: float
+        episodes: Sequence[Episode],
+        scene: Scene,
+        action_counts: NDArray[np.int64],
+        exploratory_share: float,
+        control_counts: NDArray[np.int64] | None = None,
     ) -> "LogStats":
         """Gathers the messages of a log's ended episodes, of which there may be none.
 
@@ -67,6 +75,7 @@ class LogStats:
             collided=np.array([episode.ended == "collision" for episode in episodes], dtype=np.bool_),
             tracks=np.array([episode.track for episode in episodes], dtype=np.int64),
             ends=np.array([episode.end_pose[:2] for episode in episodes], dtype=np.float64).reshape(-1, 2),
+            control_counts=control_counts,
         )
         if not np.isin(stats.tracks, np.arange(len(scene.tracks))).all():
             raise LogError("the log has episodes on a track that is not attached; give the log of a run of carrl train")
@@ -115,6 +124,11 @@ class LogStats:
     def crashes_by_section(self) -> NDArray[np.int64]:
         """How many cars crashed in each section of the main track, [G]."""
         return np.bincount(sections_at(self.track, self.crash_places), minlength=len(self.track.gates))
+
+
+def count_controls(controls: NDArray[np.floating]) -> NDArray[np.int64]:
+    """How many of the controls [T, C] lie between two of the edges: [C, B]; those beyond in the first and the last."""
+    return np.stack([np.histogram(column.clip(-1, 1), CONTROL_EDGES)[0] for column in controls.T]).astype(np.int64)
 
 
 def crowding(places: Floats, side: float) -> NDArray[np.int64]:

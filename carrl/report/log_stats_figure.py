@@ -10,12 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
+from numpy.typing import NDArray
 
-from carrl.errors import CarrlError
+from carrl.errors import CarrlError, printable
 from carrl.log.scene import TrackShape
 from carrl.render import round_number, span
 from carrl.render.canvas import Canvas, View
-from carrl.render.colours import BLUE, FAINT, INK, LIGHT, VERMILLION, YELLOW
+from carrl.render.colours import BLUE, FAINT, GREEN, INK, LIGHT, PURPLE, VERMILLION, YELLOW
 from carrl.render.curves import (
     RunCurve,
     add_drawing,
@@ -27,7 +28,7 @@ from carrl.render.curves import (
     save_figure,
 )
 from carrl.render.scene import PRINT, Ground, draw_ground, number_gates
-from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct
+from carrl.report.log_stats import CONTROL_EDGES, NO_EPISODE, LogStats, crowding, distinct
 
 HEIGHT = 6.6
 """Of the figure, inches."""
@@ -96,7 +97,13 @@ def _draw_lengths(axes: Axes, stats: LogStats) -> None:
 
 
 def _draw_actions(axes: Axes, stats: LogStats) -> None:
+    """How often each action was chosen, or where actions are numbers, how often each control lay where."""
     plain_axes(axes)
+    random = f", {100 * stats.exploratory_share:.0f} % at random" if stats.exploratory_share >= 0 else ""
+    if stats.control_counts is not None:
+        _draw_controls(axes, stats, stats.control_counts)
+        _title(axes, f"controls{random}")
+        return
     shares = stats.action_counts / max(1, stats.action_counts.sum())
     rows = np.arange(len(shares))
     axes.barh(rows, shares, color=LIGHT.action_colours(len(shares)), height=0.55)
@@ -111,7 +118,21 @@ def _draw_actions(axes: Axes, stats: LogStats) -> None:
     axes.xaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=3))
     axes.set_xlabel(f"of {stats.action_counts.sum():,} steps", fontsize=8, color=INK)
-    _title(axes, f"actions, {100 * stats.exploratory_share:.0f} % at random")
+    _title(axes, f"actions{random}")
+
+
+def _draw_controls(axes: Axes, stats: LogStats, counts: NDArray[np.int64]) -> None:
+    """The share of the steps in which each control lay between two edges, as a line of steps."""
+    colours = (BLUE, VERMILLION, GREEN, PURPLE)
+    for index, (name, count) in enumerate(zip(stats.scene.control_names, counts, strict=True)):
+        shares, colour = count / max(1, count.sum()), colours[index % len(colours)]
+        axes.stairs(shares, CONTROL_EDGES, color=colour, linewidth=1.6, label=printable(name), baseline=None)
+    axes.set_ylim(0, 1.3 * axes.get_ylim()[1])
+    axes.legend(frameon=False, fontsize=7, handlelength=1.2, loc="upper right", ncols=len(counts))
+    axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
+    axes.set_xticks([-1, 0, 1])
+    axes.set_xlabel(f"control, of {stats.action_counts.sum():,} steps", fontsize=8, color=INK)
 
 
 def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:

@@ -72,7 +72,8 @@ def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
     state_key, width = "pose" if names == POSE else "state", env.observation_spec["observation"].shape[-1]
     terms = env.task.reward.term_names
     counts = "gates of the episode passed"
-    units = ", ".join(STATE_UNITS.get(name, name) for name in names) + ", the heading counter-clockwise from +x"
+    known = STATE_UNITS | {"heading": "rad counter-clockwise from +x"}
+    units = ", ".join(known.get(name, name) for name in names)
     if action.names:
         chosen = ", ".join(f"{number} {name}" for number, name in enumerate(action.names))
         actions = Column("action", "action", "int64", (), chosen, narrow=True)

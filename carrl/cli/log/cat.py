@@ -67,7 +67,8 @@ def _text_lines(log: Log, topic: str, selection: Selection) -> Iterator[str]:
     if topic == TRANSITIONS:
         actions, names = _action_names(log), [column.name for column in log.schema.algorithm]
         rows = (row for columns in log.batches(selection) for row in transition_rows(columns, log.schema))
-        return (_transition_line(row, actions, names) for row in rows)
+        controls = log.schema.by_name["action"].entries
+        return (_transition_line(row, actions or controls, names) for row in rows)
     return (
         _episode_line(message) if isinstance(message, Episode) else _metrics_line(message)
         for message in _small_messages(log, topic, selection)
@@ -118,6 +119,9 @@ def _transition_line(row: dict[str, Any], actions: Sequence[str], algorithm: Seq
 def _action(action: Any, names: Sequence[str]) -> str:
     """Its name, or the controls that it is."""
     if not isinstance(action, int):
+        values = action if isinstance(action, list) else [action]
+        if len(names) == len(values):
+            return " ".join(f"{printable(name)} {value:+.2f}" for name, value in zip(names, values, strict=True))
         return f"action {_joined(action, '.2f')}"
     return names[action] if 0 <= action < len(names) else f"action {action}"
 

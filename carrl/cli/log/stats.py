@@ -16,7 +16,7 @@ from carrl.log.messages import Episode
 from carrl.log.reader import Log
 from carrl.log.scene import Scene
 from carrl.log.trace import action_choices, read_scene, with_choices
-from carrl.report.log_stats import GREATEST_RETURN, LogStats, section_name
+from carrl.report.log_stats import CONTROL_EDGES, GREATEST_RETURN, LogStats, count_controls, section_name
 
 
 def add_to(verbs: Verbs) -> None:
@@ -67,15 +67,34 @@ def _read_stats(log: Log) -> LogStats:
     scene = with_choices(read_scene(log))
     episodes = list(log.episodes())
     counts, random_choices = np.zeros(len(scene.action_names), dtype=np.int64), 0
+    controls: NDArray[np.int64] | None = None
     for batch in log.coded_batches():
         actions = action_choices(batch.columns)
         if actions.min() < 0 or actions.max() >= len(counts):
             raise DamagedLogError(f"log '{log.path}': has an action without a name; give the log of a carrl train run")
         counts += np.bincount(actions, minlength=len(counts))
+        if batch.columns["action"].dtype.kind == "f":
+            each = count_controls(_finite_controls(log, batch.columns["action"], len(scene.control_names)))
+            controls = each if controls is None else controls + each
         random_choices += int(np.count_nonzero(batch.columns.get("exploratory", 0)))
     _check_episodes(log, episodes, scene)
     share = random_choices / max(1, int(counts.sum())) if "exploratory" in log.schema.by_name else math.nan
-    return LogStats.of(episodes, scene, counts, share)
+    return LogStats.of(episodes, scene, counts, share, controls)
+
+
+def _finite_controls(log: Log, actions: NDArray[Any], count: int) -> NDArray[Any]:
+    """Actions that are numbers, [T, C].
+
+    Raises:
+        DamagedLogError: they are not one finite number for each control.
+    """
+    controls = actions.reshape(len(actions), -1)
+    if controls.shape[1] != count or not np.isfinite(controls).all():
+        raise DamagedLogError(
+            f"log '{log.path}': has an action that is not one number for each of {count} controls; "
+            "give the log of a carrl train run"
+        )
+    return controls
 
 
 def _check_episodes(log: Log, episodes: Sequence[Episode], scene: Scene) -> None:
@@ -96,12 +115,11 @@ def _check_episodes(log: Log, episodes: Sequence[Episode], scene: Scene) -> None
 
 def _document(stats: LogStats) -> dict[str, Any]:
     total = int(stats.action_counts.sum())
-    counts = zip(stats.scene.action_names, stats.action_counts.tolist(), strict=True)
     crashed = int(stats.collided.sum())
     return {
         "transitions": total,
         "exploratory_share": stats.exploratory_share,
-        "actions": {name: {"count": count, "share": count / max(1, total)} for name, count in counts},
+        **_actions(stats, total),
         "episodes_ended": len(stats),
         "ended": {"collision": crashed, "time limit": len(stats) - crashed},
         "laps": int(stats.laps.sum()),
@@ -110,6 +128,15 @@ def _document(stats: LogStats) -> dict[str, Any]:
         "length": _spread(stats.lengths),
         "crashes": _crashes(stats) if len(stats) else None,
     }
+
+
+def _actions(stats: LogStats, total: int) -> dict[str, Any]:
+    """How often each action was chosen, or where they are numbers, how often each control lay where."""
+    if stats.control_counts is None:
+        counts = zip(stats.scene.action_names, stats.action_counts.tolist(), strict=True)
+        return {"actions": {name: {"count": count, "share": count / max(1, total)} for name, count in counts}}
+    counts = zip(stats.scene.control_names, stats.control_counts.tolist(), strict=True)
+    return {"controls": {name: {"edges": CONTROL_EDGES.tolist(), "counts": count} for name, count in counts}}
 
 
 def _spread(values: NDArray[Any]) -> dict[str, float] | None:

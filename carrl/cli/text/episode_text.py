@@ -17,8 +17,8 @@ from carrl.log.trace import EpisodeTrace
 from carrl.render import span
 from carrl.render.colours import DARK, ERROR
 from carrl.render.episode import EpisodeScene, Series, direction
-from carrl.render.terminal import Chart, Ink, action_inks, map_chart, shows_colours
-from carrl.render.trail import steps_of
+from carrl.render.terminal import Chart, Ink, action_inks, map_chart, shows_colours, speed_inks
+from carrl.render.trail import speed_span, steps_of
 
 SIDE_BY_SIDE = 120
 """From so many characters to a line on, the charts stand beside the map."""
@@ -78,15 +78,18 @@ def _progress(trace: EpisodeTrace) -> str:
 
 def _pictures(trace: EpisodeTrace, console: Console) -> RenderableType:
     """The map, and beside or below it the charts."""
-    inks = action_inks(trace.scene.action_names, shows_colours(console))
+    coloured = shows_colours(console)
+    inks = action_inks(trace.scene.action_names, coloured)
     beside = console.width >= SIDE_BY_SIDE
     rows = min(max(console.height - 4, LEAST_MAP_ROWS), MOST_MAP_ROWS)
     width = (console.width - GAP) // 2 if beside else console.width
-    drive = _map(trace, inks, width, MOST_MAP_ROWS if beside else rows)
+    drive = _map(trace, coloured, width, MOST_MAP_ROWS if beside else rows)
     charts: list[RenderableType] = [_return_chart(trace, width)]
     per_action = EpisodeScene(trace).per_action
     if per_action:
         charts += [Text(), _value_chart(trace, per_action, inks, width)]
+    elif trace.speeds is not None:
+        charts += [Text(), _speed_chart(trace, trace.speeds, width)]
     if not beside:
         return Group(drive, Text(), *charts)
     table = Table.grid(padding=(0, GAP, 0, 0))
@@ -94,22 +97,41 @@ def _pictures(trace: EpisodeTrace, console: Console) -> RenderableType:
     return table
 
 
-def _map(trace: EpisodeTrace, inks: list[Ink], width: int, rows: int) -> Group:
-    """The line driven, where the log tells it, in the inks of the actions [A], between the walls."""
-    coloured = inks[0].symbol == "braille"
+def _map(trace: EpisodeTrace, coloured: bool, width: int, rows: int) -> Group:
+    """The line driven, where the log tells it, in inks of the speed or of the actions, between the walls."""
+    inks, legend = _trail_inks(trace, coloured)
     walls = Ink("braille", DARK.gate) if coloured else Ink("·")
     end = _end_ink(trace)
     chart = map_chart(trace.track, width, rows - 1, walls)
     x, y = trace.poses[:, 0], trace.poses[:, 1]
     known = np.append(False, np.diff(steps_of(trace)) == 1)
-    chart.line(x, y, [inks[action] for action in (*trace.actions, trace.actions[-1])], joined=known)
+    chart.line(x, y, inks, joined=known)
     chart.line(x[:1], y[:1], START).line(x[-1:], y[-1:], end)
-    samples = [START.sample("start"), *_legend(trace, inks), end.sample(END_NAMES[trace.ended])]
+    samples = [START.sample("start"), *legend, end.sample(END_NAMES[trace.ended])]
     parts = [chart.text(), Text("  ").join(samples)]
     off = int(np.count_nonzero(~trace.track.on_map(trace.poses[:, :2])))
     if off:
         parts.append(Text(f"{off:,} of {len(x):,} poses are off the map"))
     return Group(*parts)
+
+
+def _trail_inks(trace: EpisodeTrace, coloured: bool) -> tuple[list[Ink], list[Text]]:
+    """An ink for each pose, [T + 1], and what they mean."""
+    if trace.speeds is not None:
+        inks, (low, high) = speed_inks(coloured), speed_span(trace.speeds)
+        shares = (trace.speeds - low) / (high - low)
+        of_poses = [inks[min(int(share * len(inks)), len(inks) - 1)] for share in shares.tolist()]
+        return of_poses, [inks[0].sample(f"{low:.1f} m/s"), inks[-1].sample(f"{high:.1f} m/s")]
+    inks = action_inks(trace.scene.action_names, coloured)
+    of_poses = [inks[action] for action in (*trace.actions, trace.actions[-1])]
+    return of_poses, _legend(trace, inks) if trace.controls is None else []
+
+
+def _speed_chart(trace: EpisodeTrace, speeds: Floats, width: int) -> Text:
+    """The speed against the steps."""
+    steps = steps_of(trace).astype(np.float64)
+    chart = Chart(width, CHART_ROWS, "speed, m/s").axes(_span(steps), _span(speeds))
+    return chart.line(steps, speeds, Ink("braille")).text()
 
 
 def _legend(trace: EpisodeTrace, inks: list[Ink]) -> list[Text]:
@@ -182,12 +204,17 @@ def _shown(steps: int) -> Iterator[int]:
 
 def _columns(scene: EpisodeScene, wide: bool) -> list[tuple[str, bool]]:
     """Headings, and whether what is below stands at the right."""
-    before = [("step", True), ("time s", True), ("nearest wall", False), ("rays", False), ("action", False)]
+    trace = scene.trace
+    actions = [("action", False)]
+    if trace.controls is not None:
+        actions = [(name, True) for name in trace.scene.control_names]
+    speed = [("m/s", True)] if trace.state("speed") is not None else []
+    before = [("step", True), ("time s", True), ("nearest wall", False), ("rays", False), *speed, *actions]
     values = []
     if scene.per_action:
         word = scene.per_action.title.split()[-1]
         values = [(f"{word[0]} {name if wide else name[0]}", True) for name in scene.per_action.entries]
-    numbers = [(name, True) for series in scene.numbers for name in series.entries] if wide else []
+    numbers = [(name, True) for series in scene.told for name in series.entries] if wide else []
     return [*before, *values, ("reward", True), (REASONS, False), *numbers]
 
 
@@ -201,13 +228,19 @@ def _cells(scene: EpisodeScene, row: int, wide: bool) -> list[Text]:
         decimals = _decimals(per_action.values) + wide
         texts = [_value(value, decimals) for value in per_action.values[row]]
         values = [Text(text, "bold" if index == action else "") for index, text in enumerate(texts)]
-    numbers = [Text(f"{value:.3f}") for series in scene.numbers for value in series.values[row]] if wide else []
+    numbers = [Text(f"{value:.3f}") for series in scene.told for value in series.values[row]] if wide else []
+    speeds = trace.state("speed")
+    actions = [Text(trace.scene.action_names[action] + star, ink.style)]
+    if trace.controls is not None:
+        actions = [Text(f"{value:+.2f}") for value in trace.controls[row]]
+        actions[-1].append(star)
     return [
         Text(f"{step:,}"),
         Text(f"{step * trace.scene.time_step:,.1f}"),
         Text(_nearest(trace, row)),
         Text(ray_bars(trace.ranges[row] / trace.scene.sensor_range)),
-        Text(trace.scene.action_names[action] + star, ink.style),
+        *([] if speeds is None else [Text(f"{speeds[row]:.1f}")]),
+        *actions,
         *values,
         Text(f"{trace.rewards[row]:+,.4g}" if trace.rewards[row] else "0"),
         Text(_reasons(trace, row, wide)),

@@ -3,6 +3,8 @@
 Shapes: `A` actions, `K` places.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -12,7 +14,7 @@ from carrl.log.scene import TrackShape
 from carrl.render import round_number, span
 from carrl.render.colours import DARK, ERROR, WARNING
 from carrl.render.terminal import BarRow, Chart, Ink, action_inks, bars, histogram, map_chart, shows_colours
-from carrl.report.log_stats import NO_EPISODE, LogStats, crowding, distinct, section_name
+from carrl.report.log_stats import CONTROL_EDGES, NO_EPISODE, LogStats, crowding, distinct, section_name
 
 SIDE_BY_SIDE = 120
 """From so many characters to a line on, two parts stand beside each other."""
@@ -80,6 +82,14 @@ def _beside(pair: tuple[RenderableType, RenderableType]) -> Table:
 
 
 def _actions(stats: LogStats, width: int) -> Group:
+    """How often each action was chosen, or where actions are numbers, how often each control lay where."""
+    if stats.control_counts is not None:
+        between = [f"{low:+.2f} to {high:+.2f}" for low, high in pairwise(CONTROL_EDGES)]
+        charts = [
+            bars(name, [BarRow(*row) for row in zip(between, counts, strict=True)], width)
+            for name, counts in zip(stats.scene.control_names, stats.control_counts.tolist(), strict=True)
+        ]
+        return Group(*[part for chart in charts for part in (chart, Text())][:-1])
     names = stats.scene.action_names
     inks = action_inks(names, coloured=True)
     counts = stats.action_counts.tolist()
