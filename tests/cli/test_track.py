@@ -209,6 +209,20 @@ def test_the_library_is_listed_with_its_bad_files_in_one_table(folder, capsys, m
     assert main(["track", "show", "Ring"]) == 0
 
 
+def test_a_folder_without_a_circuit_does_not_hide_the_others_of_the_library(folder, capsys, monkeypatch):
+    for name in ("good", "bad", "empty"):
+        (folder / name).mkdir()
+    assert main(["track", "convert", "oval", "good/Ring.csv"]) == 0
+    (folder / "bad" / "notes.csv").write_text("to do")
+    monkeypatch.setenv("CARRL_TRACKS", "bad:empty:good")
+    capsys.readouterr()
+    assert main(["track", "list"]) == 2
+    out, err = capsys.readouterr()
+    assert all(name in out for name in ("oval", "serpentine", "Ring.csv"))
+    assert "2 files that are no tracks" in err
+    assert "notes.csv" in err and "empty" in err
+
+
 def test_a_run_takes_a_track_of_the_library_by_its_name_and_at_any_scale(folder, monkeypatch):
     (folder / "mine").mkdir()
     monkeypatch.setenv("CARRL_TRACKS", str(folder / "mine"))
