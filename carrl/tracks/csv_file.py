@@ -168,16 +168,17 @@ def _order(path: Path, headers: list[Row], rows: list[Row], columns: Sequence[st
         return [index for index in found[best] if index is not None], True
     if best is None or found[best].count(None) == len(columns):
         cells = [cell for cell in rows[0][1] if cell.strip()] if rows else []
-        best = next((at for at, (_, names) in enumerate(headers) if _are_names(names, len(cells))), None)
-        if best is None and len(cells) == len(columns) == len([cell for cell in cells if _is_number(cell)]):
+        above = [at for at, (line, _) in enumerate(headers) if rows and line < rows[0][0]]
+        others = [at for at in above if _are_names(headers[at][1], len(cells))]
+        if not others and len(cells) == len(columns) == len([cell for cell in cells if _is_number(cell)]):
             return list(range(len(columns))), False
-        if rows and (best is None or headers[best][0] > rows[0][0]):
+        if not others and rows and (best is None or headers[best][0] > rows[0][0]):
             raise MissingColumnsError(
                 f"track '{path.name}': there is no header, and line {rows[0][0]} has {len(cells)} columns; only four "
                 f"are taken for {', '.join(COLUMNS)} without one, so put {_HEADER} first",
                 columns[2:],
             )
-        best = best or 0
+        best = others[0] if others else 0
     line, names = headers[best]
     missing = [column for column, index in zip(columns, found[best], strict=True) if index is None]
     raise MissingColumnsError(

@@ -236,6 +236,14 @@ def test_a_run_takes_a_track_of_the_library_by_its_name_and_at_any_scale(folder,
     assert track.length == pytest.approx(2 * Track.load("oval").length, rel=1e-3)
 
 
+def test_a_run_takes_a_circuit_whose_name_is_a_number(folder):
+    line = {"type": "LineString", "coordinates": [[0, 0], [0.002, 0], [0.002, 0.002], [0, 0.002], [0, 0]]}
+    features = [{"type": "Feature", "properties": {"id": number}, "geometry": line} for number in (2, 1)]
+    (folder / "rings.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    config = compose("track=file", "track.name_or_path=rings.geojson", "track.circuit=2")
+    assert build_node("track", config["track"]).name == "rings.geojson/2"
+
+
 def test_check_looks_at_all_circuits_of_a_file_or_at_the_one_that_is_named(folder, capsys):
     line = {"type": "LineString", "coordinates": [[0, 0], [0.002, 0], [0.002, 0.002], [0, 0.002], [0, 0]]}
     features = [{"type": "Feature", "properties": {"id": name}, "geometry": line} for name in ("one", "two")]

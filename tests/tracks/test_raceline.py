@@ -126,7 +126,8 @@ def test_a_line_of_longitudes_and_latitudes_is_no_line_in_metres(tmp_path):
 @pytest.mark.parametrize("comment", ["# my own race track", "# made by hand", "Title"])
 def test_words_above_four_columns_are_no_header(tmp_path, comment):
     path = tmp_path / "plain.csv"
-    path.write_text(f"{comment}\n" + "\n".join(f"{x},{y},4,3" for x, y in CIRCLE))
+    rows = "\n".join(f"{x},{y},4,3" for x, y in CIRCLE)
+    path.write_text(f"{comment}\n{rows}\n# by me, by hand, in May, at home")
     assert Track.load(path).notes == ("four columns without a header, read as x_m, y_m, w_tr_right_m, w_tr_left_m",)
 
 
