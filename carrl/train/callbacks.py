@@ -253,7 +253,7 @@ class Evaluator(Callback):
     """
 
     def __init__(self, plan: EvaluationPlan | None) -> None:
-        self._interval, self._starts = (plan.interval, plan.starts) if plan else (None, 1)
+        self._interval, self._starts = plan.interval if plan else None, plan.starts if plan else 1
         self._evaluated_at, self._round_began_at = -1, 0
         self._simulator: Simulator | None = None  # where transitions come from logs, there is none before the end
 
