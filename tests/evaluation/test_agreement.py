@@ -4,16 +4,12 @@ import pytest
 import torch
 
 from carrl import TrackEnv, Vehicle
-<<<<<<< HEAD
 from carrl.evaluation.baselines import random_policy, rule_policy
 from carrl.evaluation.rollout import rollout_laps
-=======
-from carrl.evaluation.rollout import random_policy, rollout_laps, rule_policy
 from carrl.sim.kinematic import Kinematic
 from carrl.task.action import ContinuousActions
 from carrl.task.observation import Observation, Scans, rays_only
 from carrl.task.racing import Contact, Progress, SpeedAlong, Time
->>>>>>> w-task
 from carrl.task.reward import Collision, Gate, Proximity, Reward, Shaping, Steering
 from carrl.task.road import HeadingError
 from tests.worlds import make_world

@@ -7,13 +7,9 @@ import torch
 
 from carrl import Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError
-<<<<<<< HEAD
 from carrl.evaluation.baselines import random_policy, rule_policy
 from carrl.evaluation.rollout import rollout, rollout_laps
-=======
-from carrl.evaluation.rollout import random_policy, rollout, rollout_laps, rule_policy
 from carrl.sim.kinematic import Kinematic
->>>>>>> w-task
 from carrl.sim.simulator import Simulator
 from carrl.task.action import ContinuousActions
 from tests.worlds import make_world
