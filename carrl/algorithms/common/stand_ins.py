@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictParams
 from torch import Tensor
 from torchrl.objectives import LossModule
 
@@ -40,7 +40,11 @@ def standing_in(
 def forget_cached(loss: LossModule) -> None:
     """Lets a loss look at its parameters anew.
 
-    TorchRL 0.14's SACLoss, TD3Loss and DDPGLoss keep detached ones from the first call on. They would go on with those
-    where other tensors stand in, or where the parameters have moved to other memory, and no error would tell.
+    TorchRL 0.14's SACLoss, TD3Loss and DDPGLoss keep detached ones from the first call on, and so do tensordict 0.14's
+    parameters themselves. They would go on with those where other tensors stand in, or where parameters have moved to
+    other memory, and no error would tell.
     """
     loss.__dict__["_cache"] = {}
+    for parameters in loss._modules.values():
+        if isinstance(parameters, TensorDictParams):
+            parameters._erase_cache()
