@@ -16,6 +16,7 @@ from torch import Tensor
 
 from carrl.sim.collision_geometry import CollisionGeometry
 from carrl.sim.machine_code import apart, as_array, compiled, dispatched, inlined
+from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import VehicleModel
 
 # Written out, since Numba's cache sees only changes to this file.
@@ -26,9 +27,7 @@ _LANES = 8
 
 
 class World(NamedTuple):
-    """What stays the same from step to step; the arrays are C-contiguous.
-
-    The first nine are those of `CollisionGeometry`.
+    """What stays the same from step to step; the arrays are C-contiguous, the first nine those of `CollisionGeometry`.
 
     Attributes:
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
@@ -64,30 +63,20 @@ class Kernels:
 
     Args:
         geometry: walls and gates.
-        ray_angles: counter-clockwise from the heading, [R], rad.
-        max_range: of the rays, m.
+        sensor: its rays.
         vehicle: the car.
         most_gates: how many gates one step can cross at the most.
-        mount: how far ahead of the car's middle the rays start, m.
     """
 
-    def __init__(
-        self,
-        geometry: CollisionGeometry,
-        ray_angles: Tensor,
-        max_range: float,
-        vehicle: VehicleModel,
-        most_gates: int,
-        mount: float = 0.0,
-    ) -> None:
+    def __init__(self, geometry: CollisionGeometry, sensor: Sensor, vehicle: VehicleModel, most_gates: int) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
         radius, half_length, half_width = vehicle.body.measures
         self._world = World(
             **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in geometry._asdict().items()},
-            fan=_fan(ray_angles),
-            rays=len(ray_angles),
-            mount=mount,
-            max_range=float(max_range),
+            fan=_fan(sensor.angles),
+            rays=sensor.rays,
+            mount=float(sensor.mount),
+            max_range=float(sensor.max_range),
             body_radius=radius,
             half_length=half_length,
             half_width=half_width,

@@ -20,7 +20,7 @@ from carrl.rows import Rows
 from carrl.sim.machine_code import as_array, compiled
 
 _LEAST_STRETCH = 1.0
-"""Curvatures are means over at least so much of the road, m."""
+"""Between two places ahead, m: that of a curvature is a mean over so much of the road at least."""
 _LEAST_ROOM = 0.01
 
 
@@ -109,7 +109,7 @@ class Places:
             track: of each car, [B], int64.
             station: of each car, [B], m.
             begin: from there to the first of the places, [B], m.
-            spacing: between two of them, [B], m.
+            spacing: between two of them, [B], m; at least 1 m in any case.
             count: K.
 
         Returns:
@@ -228,18 +228,18 @@ def _curvatures(
             raise ValueError("a track's index is not one of those that the simulator has")
         first, after_last, length = roads.first[track[car]], roads.first[track[car] + 1], roads.lengths[track[car]]
         stretch = max(spacing[car], _LEAST_STRETCH)
-        for place in range(count):
-            middle = station[car] + begin[car] + place * spacing[car]
-            turn = 0.0
-            for sign in (1, -1):
-                there = middle + sign * stretch / 2
-                laps = math.floor(there / length)
-                there -= laps * length
-                segment = first + np.searchsorted(roads.stations[first:after_last], there, side="right") - 1
-                segment = min(max(segment, first), after_last - 1)
-                end = roads.stations[segment + 1] if segment + 1 < after_last else length
-                share = (there - roads.stations[segment]) / (end - roads.stations[segment])
-                heading = roads.headings[segment, 0] + share * (roads.headings[segment, 1] - roads.headings[segment, 0])
-                turn += sign * (heading + laps * roads.turns[track[car]])
-            curvatures[car, place] = turn / stretch
+        heading_before = 0.0
+        for edge in range(count + 1):
+            there = station[car] + begin[car] + (edge - 0.5) * stretch
+            laps = math.floor(there / length)
+            there -= laps * length
+            segment = first + np.searchsorted(roads.stations[first:after_last], there, side="right") - 1
+            segment = min(max(segment, first), after_last - 1)
+            end = roads.stations[segment + 1] if segment + 1 < after_last else length
+            share = (there - roads.stations[segment]) / (end - roads.stations[segment])
+            heading = roads.headings[segment, 0] + share * (roads.headings[segment, 1] - roads.headings[segment, 0])
+            heading += laps * roads.turns[track[car]]
+            if edge > 0:
+                curvatures[car, edge - 1] = (heading - heading_before) / stretch
+            heading_before = heading
     return curvatures

@@ -9,15 +9,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import shapely
 import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.collision_geometry import CollisionGeometry, TrackLayout
-from carrl.sim.geometry import cross, path_clearance, ray_distances, rectangle_touches
+from carrl.sim.geometry import (
+    crosses_forward,
+    most_gates_per_step,
+    path_clearance,
+    ray_distances,
+    rectangle_touches,
+)
 from carrl.sim.places import Place, Places
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import Disc, VehicleModel
@@ -154,7 +158,7 @@ class Simulator:
         self.gate_counts = self.geometry.first_gate.diff()
         self.sensor_angles = sensor.angles.to(device)
         self._most_walls = geometry.longest_list
-        self._most_gates_per_step = max(_most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
+        self._most_gates_per_step = max(most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -321,8 +325,7 @@ class Simulator:
         from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.
 
         most_gates = self._most_gates_per_step
-        mount = float(self.sensor.mount)
-        return Kernels(self.geometry, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates, mount)
+        return Kernels(self.geometry, self.sensor, self.vehicle, most_gates)
 
     def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
         """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""
@@ -342,21 +345,5 @@ class Simulator:
         passed = torch.zeros_like(cars.next_gate)
         for _ in range(self._most_gates_per_step):
             gate = self.geometry.gates[first + (cars.next_gate + passed) % count].unflatten(-1, (2, 2))
-            passed = passed + _crosses_forward(begin, end, gate)
+            passed = passed + crosses_forward(begin, end, gate)
         return passed
-
-
-def _crosses_forward(begin: Tensor, end: Tensor, gate: Tensor) -> Tensor:
-    """Whether each way begin-end, [B, 2], crosses its own gate (left end, right end), [B, 2, 2], forward: [B]."""
-    left, across = gate[:, 0], gate[:, 1] - gate[:, 0]
-    side_before, side_after = cross(across, begin - left), cross(across, end - left)
-    share = (side_before / (side_before - side_after))[:, None]
-    position = ((begin + share * (end - begin) - left) * across).sum(-1) / (across * across).sum(-1)
-    return (side_before < 0) & (side_after >= 0) & (position >= 0) & (position <= 1)
-
-
-def _most_gates_per_step(gates: Tensor, step_length: float) -> int:
-    """How many gates [G, 2, 2] the straight way of one step can cross at the most."""
-    lines = shapely.linestrings(gates.numpy())
-    gap = shapely.distance(lines, np.roll(lines, 1)).min()
-    return len(gates) if gap * len(gates) <= step_length else math.floor(step_length / gap) + 1
