@@ -33,6 +33,7 @@ MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
 NO_POSES, NO_ACTIONS, NO_SPEEDS = np.empty((0, 0), np.float32), np.empty(0, np.int64), np.empty(0, np.float32)
 """The trajectory of a drive whose own is not kept."""
+MOST_LAPS = 1000
 CARS_AT_ONCE = 256
 """As many tracks are driven together as this many cars allow, but at least one, so that memory stays bounded."""
 
@@ -42,19 +43,20 @@ def rollout_laps(
     simulator: Simulator,
     policy: Policy,
     starts: int = 1,
+    laps: int = 1,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
 ) -> list[Rollout]:
-    """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
+    """Drives so many laps in a row of each of the simulator's tracks, in their order, from each of `starts` places.
 
     The places are spread evenly along the track, from the start line on; `kept` is as in `rollout`.
 
     Raises:
-        ConfigError: fewer than one start place, or a drive takes too many steps.
+        ConfigError: fewer than one start place or lap, or a drive takes too many steps.
     """
-    starts = whole_number("starts", starts, 1, MOST_CARS)
+    starts, laps = whole_number("starts", starts, 1, MOST_CARS), whole_number("laps", laps, 1, MOST_LAPS)
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
-    return rollout(world, simulator, policy, torch.cat(stations), track, kept)
+    return rollout(world, simulator, policy, torch.cat(stations), track, laps, kept)
 
 
 class TrackEvaluator:
@@ -64,10 +66,11 @@ class TrackEvaluator:
         world: that says how a car drives; its own tracks do not matter.
         tracks: to be driven.
         starts: places on each track, spread evenly from its start line on.
+        laps: in a row from each of them, the first from rest.
     """
 
-    def __init__(self, world: World, tracks: Sequence[Track], starts: int) -> None:
-        self._world, self._starts = world, starts
+    def __init__(self, world: World, tracks: Sequence[Track], starts: int, laps: int = 1) -> None:
+        self._world, self._starts, self._laps = world, starts, laps
         together = max(1, CARS_AT_ONCE // max(1, starts))
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
@@ -76,11 +79,12 @@ class TrackEvaluator:
         """The rollouts on each track; a policy that sees something else needs a world of its own, with the same car.
 
         Raises:
-            ConfigError: fewer than one start place.
+            ConfigError: fewer than one start place or lap.
         """
         found: list[list[Rollout]] = []
         for simulator in self._simulators:
-            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, kept=lambda _: ())
+            drives = world or self._world, simulator, policy, self._starts, self._laps
+            rollouts = rollout_laps(*drives, kept=lambda _: ())
             found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
         return found
 
@@ -103,9 +107,10 @@ def rollout(
     policy: Policy,
     stations: Tensor,
     track: Tensor | None = None,
+    laps: int = 1,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
 ) -> list[Rollout]:
-    """Drives one lap from each of these places.
+    """Drives so many laps in a row from each of these places, from rest.
 
     Args:
         world: how a car drives and what counts; its own tracks do not matter.
@@ -113,6 +118,7 @@ def rollout(
         policy: what to do.
         stations: of the starts, m along the centreline, [B].
         track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
+        laps: how many.
         kept: given the drives without their trajectories, says which are to have them; by default all are.
 
     Raises:
@@ -123,7 +129,7 @@ def rollout(
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
     task = world.evaluation_task(simulator, len(stations))
     cars = simulator.start(stations, track)
-    limits, patience = _time_limits(simulator, cars), _patience(simulator, cars)
+    limits, patience = laps * _time_limits(simulator, cars), _patience(simulator, cars)
     _check_limits(limits, simulator)
     now = task.start_at(cars)
     state, observation = now.state, now.observation
@@ -139,10 +145,10 @@ def rollout(
         moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
         last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
-        driving &= ~(ended | simulator.has_lapped(outcome.cars)) & (step < limits)
+        driving &= ~(ended | simulator.has_lapped(outcome.cars, laps)) & (step < limits)
         if not driving.any():
             break
-    return _sum_up(_Moment.stack(moments), limits, task, stations, kept)
+    return _sum_up(_Moment.stack(moments), limits, task, stations, laps, kept)
 
 
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
@@ -187,16 +193,17 @@ def _sum_up(
     limits: Tensor,
     task: Task,
     stations: Tensor,
+    laps: int,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None,
 ) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator = task.simulator
-    ended = course.ended | simulator.has_lapped(course.cars)
+    ended = course.ended | simulator.has_lapped(course.cars, laps)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
     lap_reward, steering_reward = _earned(course, task)
     steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
-    progress, lapped = simulator.progress(last, stations).tolist(), simulator.has_lapped(last).tolist()
+    progress, lapped = simulator.progress(last, stations, laps).tolist(), simulator.has_lapped(last, laps).tolist()
     drives = []
     for car, steps in enumerate(lengths.tolist()):
         motion = _motion(course.cars[: steps + 1, car], simulator)

@@ -300,4 +300,4 @@ class Evaluator(Callback):
             return [number * drives_each + result.shown for number, result in enumerate(of_replicates(drives))]
 
         policy = trainer.algorithm.greedy_policy
-        return of_replicates(rollout(world, self._simulator, policy, stations, track, shown))
+        return of_replicates(rollout(world, self._simulator, policy, stations, track, kept=shown))

@@ -230,6 +230,17 @@ def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploratio
     assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.rollouts) / 2)
 
 
+def test_networks_are_tried_out_from_several_places(tmp_path):
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "evaluation.starts=3")
+    (run,) = trainer.runs
+    lengths = [track.length for track in pipeline.world.circuits.validation]
+    starts = [length * share / 3 for length in lengths for share in range(3)]
+    assert [drive.start for drive in run.last.rollouts] == pytest.approx(starts, rel=1e-6)
+    assert read_rows(tmp_path / "evaluations.csv")[-1]["drives"] == "6"
+    with pytest.raises(ConfigError, match=r"evaluation.starts is 0; it must be a whole number from 1 to 1000"):
+        build_pipeline(compose("evaluation.starts=0"))
+
+
 def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):
     together, _ = train(tmp_path / "both", *CIRCUITS, "trainer.seeds=[3,4]")
     for index, seed in enumerate((3, 4)):
