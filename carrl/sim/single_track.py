@@ -262,7 +262,6 @@ class SingleTrack(DrivenCar):
             return pedals[0] * self.max_acceleration
         if self.pedals == "two":
             return (pedals[0] - pedals[1]) / 2 * self.max_acceleration
-        forward = pedals[0] > 0
-        missing = pedals[0] * torch.where(forward, self.max_speed, -self.min_speed) - speed
-        gain = torch.where(speed > 0, FORWARD_GAIN, BACKWARD_GAIN) * self.max_acceleration
-        return missing * gain / torch.where(missing > 0, self.max_speed, -self.min_speed)
+        missing = pedals[0].clamp(min=0) * self.max_speed - pedals[0].clamp(max=0) * self.min_speed - speed
+        gain = torch.where(speed > 0, torch.full_like(speed, FORWARD_GAIN), BACKWARD_GAIN) * self.max_acceleration
+        return missing * gain / torch.where(missing > 0, torch.full_like(speed, self.max_speed), -self.min_speed)

@@ -94,16 +94,15 @@ def drive_single_track(state: np.ndarray, control: np.ndarray, constants: np.nda
         c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28], c[29],
         c[30], c[31], c[32],
     )  # fmt: skip
-    moved = np.empty_like(state)
+    moved, state, control = np.empty_like(state), state.astype(np.float64), control.astype(np.float64)
     for row in range(len(state)):
-        speed, slip = float(state[row, 3]), float(state[row, 5])
-        steering, steer = float(state[row, 6]), float(control[row, 0])
+        speed, slip, steering, steer = state[row, 3], state[row, 5], state[row, 6], control[row, 0]
         command, earlier_command = steer, steer
         if car.steering == 2:
-            command, earlier_command = float(state[row, 9]), float(state[row, 10])
+            command, earlier_command = state[row, 9], state[row, 10]
         wanted_angle = steer * _steering_range(car, speed, c[33:])
         along, across = (speed * math.cos(slip), speed * math.sin(slip)) if car.has_brush_tyres else (speed, slip)
-        motion = float(state[row, 0]), float(state[row, 1]), float(state[row, 2]), along, across, float(state[row, 4])
+        motion = state[row, 0], state[row, 1], state[row, 2], along, across, state[row, 4]
         way, wheels = (math.cos(motion[2]), math.sin(motion[2])), (math.cos(steering), math.sin(steering))
         acceleration, lateral = 0.0, 0.0
         for _ in range(int(car.substeps)):
@@ -162,9 +161,9 @@ def _turning(car: Constants, steering: float, steer: float, wanted_angle: float,
 @inlined
 def _wanted(car: Constants, control: np.ndarray, speed: float) -> float:
     """The acceleration that the driver asks for, m/s^2."""
-    pedal = np.float64(control[1])
+    pedal = control[1]
     if len(control) == 3:
-        return (pedal - np.float64(control[2])) / 2 * car.max_acceleration
+        return (pedal - control[2]) / 2 * car.max_acceleration
     if not car.by_speed:
         return pedal * car.max_acceleration
     missing = pedal * (car.max_speed if pedal > 0 else -car.min_speed) - speed
@@ -240,21 +239,23 @@ def _brush_rates(car: Constants, motion: _Motion, way: _Direction, wheels: _Dire
     drive = _within(_brush_drive(car, along, across, wanted), car.most_drive)
     used = drive * car.by_grip
     left = math.sqrt(1 - used * used)
-    front_load = car.front_load - drive * car.load_transfer
     front_across, rear_across = across + car.front_axle * yaw_rate, across - car.rear_axle * yaw_rate
-    sideways, ahead = front_across * wheels[0] - along * wheels[1], along * wheels[0] + front_across * wheels[1]
-    front = car.grip * front_load * _brush_force(car, sideways, ahead, car.front_stiffness, left)
+    front_along = along * wheels[0] + front_across * wheels[1]
+    front_aside = front_across * wheels[0] - along * wheels[1]
+    front_drive, rear_drive = _at_wheel(car, front_along, drive), _at_wheel(car, along, drive)
+    front_load = car.front_load - rear_drive * car.load_transfer
+    front = car.grip * front_load * _brush_force(car, front_aside, front_along, car.front_stiffness, left)
     rear = car.grip * (1 - front_load) * _brush_force(car, rear_across, along, car.rear_stiffness, left)
-    front_along = front_load * drive * wheels[0] - front * wheels[1]
-    front_aside = front_load * drive * wheels[1] + front * wheels[0]
-    acceleration, lateral = front_along + (1 - front_load) * drive, front_aside + rear
+    front_pull = front_load * front_drive * wheels[0] - front * wheels[1]
+    front_push = front_load * front_drive * wheels[1] + front * wheels[0]
+    acceleration, lateral = front_pull + (1 - front_load) * rear_drive, front_push + rear
     return (
         along * way[0] - across * way[1],
         along * way[1] + across * way[0],
         yaw_rate,
         acceleration + yaw_rate * across,
         lateral - yaw_rate * along,
-        (car.front_axle * front_aside - car.rear_axle * rear) * car.mass_by_inertia,
+        (car.front_axle * front_push - car.rear_axle * rear) * car.mass_by_inertia,
         acceleration,
         lateral,
     )
@@ -277,11 +278,17 @@ def _brush_drive(car: Constants, along: float, across: float, wanted: float) -> 
         forward = car.forward_ease * (car.max_speed * car.max_speed - energy)
         return min(wanted, min(strongest, forward))
     wanted = max(wanted, -car.max_acceleration)
-    if car.min_speed == 0:
-        return -max(min(car.braking_ease * along, -wanted), wanted)
-    if along >= 0:
+    if car.min_speed == 0 or along >= 0:
         return wanted
     return max(wanted, car.backward_ease * (car.min_speed * car.min_speed - energy))
+
+
+@inlined
+def _at_wheel(car: Constants, speed: float, drive: float) -> float:
+    """As `carrl.sim.tyres.Brush.at_wheel`."""
+    if drive >= 0 or car.min_speed < 0:
+        return drive
+    return -max(min(car.braking_ease * speed, -drive), drive)
 
 
 @inlined
