@@ -26,7 +26,7 @@ from tests.configs import compose
 VEHICLES = {"kinematic": Kinematic(), "race": SingleTrack(), "f1tenth": SingleTrack("f1tenth", time_step=0.05)}
 OBSERVATIONS = ["gran_turismo", "torcs", "f1tenth", "racer"]
 ENDS = ["contact", "gran_turismo", "torcs"]
-REWARDS = ["progress", "gran_turismo", "torcs", "torcs_centred", "racing"]
+REWARDS = ["progress", "gran_turismo", "torcs", "torcs_centred", "racing", "lap_time"]
 
 
 def parts_of(observation: str, end: str, reward: str = "racing") -> dict:
