@@ -20,7 +20,10 @@ BESIDE = {
     "vehicle/kinematic": DRIVEN,
     "vehicle/single_track": DRIVEN,
     **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "racer", "torcs")},
-    **{f"reward/{name}": DRIVEN for name in ("progress", "gran_turismo", "racing", "torcs", "torcs_centred")},
+    **{
+        f"reward/{name}": DRIVEN
+        for name in ("progress", "gran_turismo", "racing", "lap_time", "torcs", "torcs_centred")
+    },
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/generalist": ["track.count=4", "track.validation=2"],  # of hundreds, which take seconds to draw

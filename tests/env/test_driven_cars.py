@@ -26,7 +26,7 @@ from tests.configs import compose
 VEHICLES = {"kinematic": Kinematic(), "race": SingleTrack(), "f1tenth": SingleTrack("f1tenth", time_step=0.05)}
 OBSERVATIONS = ["gran_turismo", "torcs", "f1tenth", "racer"]
 ENDS = ["contact", "gran_turismo", "torcs"]
-REWARDS = ["progress", "gran_turismo", "torcs", "torcs_centred", "racing"]
+REWARDS = ["progress", "gran_turismo", "torcs", "torcs_centred", "racing", "lap_time"]
 
 
 def parts_of(observation: str, end: str, reward: str = "racing") -> dict:
@@ -91,6 +91,19 @@ def test_one_pushes_on_through_contact_and_no_progress_ends_it():
             break
     assert ends == (100, [True, False])
     assert touched
+
+
+def test_what_is_no_number_harms_one_car_for_one_step():
+    """An action of nan, as a network gives that has diverged, is a contact where the car was."""
+    parts = parts_of("gran_turismo", "gran_turismo", "torcs_centred")
+    env = TrackEnv("oval", 2, vehicle=Kinematic(), start=Start(speed=10.0), **parts)
+    state = env.reset()
+    state["action"] = torch.tensor([[math.nan, math.nan], [0.0, 0.0]])
+    after = env.step(state)["next"]
+    assert all(after[key].isfinite().all() for key in ("state", "station", "reward_terms"))
+    assert torch.equal(after["pose"][0], state["pose"][0]) and after["pose"][1, 0] > state["pose"][1, 0] + 0.9
+    after["action"] = torch.zeros(2, 2)
+    assert env.step(after)["next", "pose"][0, 0] > state["pose"][0, 0]
 
 
 def test_a_gym_car_that_slides_goes_on_and_one_that_ended_is_to_be_reset():
