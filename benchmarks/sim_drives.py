@@ -6,6 +6,7 @@ Shapes: `N` cars.
 """
 
 import importlib.util
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +22,8 @@ from benchmarks.child import BenchError
 from carrl.data.collector import make_collector
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
-from carrl.sim.vehicle import Vehicle
+from carrl.sim.single_track import SingleTrack
+from carrl.sim.vehicle import Vehicle, VehicleModel
 from carrl.task.action import steer3
 from carrl.task.episode import Start
 from carrl.tracks.track import Track
@@ -33,6 +35,9 @@ PREPARED = 64
 COLLECTED_STEPS = 8
 """Steps of every car in one batch of the collector."""
 FEW_WALLS = 64
+PAPER_CAR, PAPER_SENSOR = Vehicle(), Sensor()
+F1TENTH_CAR = SingleTrack(preset="f1tenth", time_step=0.01)
+F1TENTH_SENSOR = Sensor(rays=20, field_of_view=math.degrees(4.7))
 
 Drive = Callable[[], int]
 """Drives all cars on by a step or some, and returns how many car-steps those were."""
@@ -73,16 +78,47 @@ def put_back(collided: Tensor, start: CarState, now: CarState) -> CarState:
     return start.map(lambda before, after: torch.where(collided.view(-1, *[1] * (after.dim() - 1)), before, after), now)
 
 
-def _drive_simulator(track: Track, cars: int) -> Drive:
-    simulator = Simulator(track, Vehicle(), Sensor())
+def _drive_simulator(
+    track: Track, cars: int, vehicle: VehicleModel = PAPER_CAR, sensor: Sensor = PAPER_SENSOR
+) -> Drive:
+    simulator = Simulator(track, vehicle, sensor)
     start = simulator.start(random_stations(track, cars))
-    state, controls = start, cycle(list(map(steer3().controls, _prepared(cars))))
+    state, controls = start, cycle(_controls(vehicle, cars))
 
     def drive() -> int:
         nonlocal state
         outcome = simulator.step(state, next(controls))
         state = put_back(outcome.collided, start, outcome.cars)
         return cars
+
+    return drive
+
+
+def _controls(vehicle: VehicleModel, cars: int) -> list[Tensor]:
+    """Random ones of some steps, [N, C] each; a third of the time forward for cars that do nothing but steer."""
+    if vehicle.control_names == ("steer",):
+        return list(map(steer3().controls, _prepared(cars)))
+    generator = _generator()
+    return [2 * torch.rand(cars, len(vehicle.control_names), generator=generator) - 1 for _ in range(PREPARED)]
+
+
+def _drive_f1tenth(track: Track, cars: int) -> Drive:
+    return _drive_simulator(track, cars, F1TENTH_CAR, F1TENTH_SENSOR)
+
+
+def _drive_f1tenth_gym(track: Track, cars: int) -> Drive:
+    if importlib.util.find_spec("f110_gym") is None:
+        raise LeftOutError("f110_gym is not installed, and not on PyPI; see benchmarks/sim_f1tenth.py")
+    from benchmarks.sim_f1tenth import make_race_car
+
+    pose = Simulator(track, F1TENTH_CAR, F1TENTH_SENSOR).start(random_stations(track, 1)).pose[0]
+    step = make_race_car(track, pose, F1TENTH_CAR, F1TENTH_SENSOR)
+    controls = cycle(torch.cat(_controls(F1TENTH_CAR, cars)).tolist())
+
+    def drive() -> int:
+        steer, speed = next(controls)
+        step(steer * F1TENTH_CAR.max_steering, speed * (F1TENTH_CAR.max_speed if speed > 0 else -F1TENTH_CAR.min_speed))
+        return 1
 
     return drive
 
@@ -185,6 +221,9 @@ CONTESTANTS = {
     each.name: each
     for each in (
         Contestant("simulator", "CarRL simulator", _drive_simulator),
+        Contestant("race-car", "CarRL simulator, single_track", partial(_drive_simulator, vehicle=SingleTrack())),
+        Contestant("f1tenth", "CarRL simulator, F1TENTH's car, 20 rays", _drive_f1tenth, paper_only=True),
+        Contestant("f1tenth-gym", "f1tenth_gym, 20 rays", _drive_f1tenth_gym, paper_only=True, one_car=True),
         Contestant("env", "CarRL TrackEnv", _drive_env),
         Contestant("collector", "CarRL TrackEnv in a Collector", _drive_collector),
         Contestant("gym", "CarRL, gymnasium.make", _drive_gym, one_car=True),

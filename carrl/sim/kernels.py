@@ -22,6 +22,7 @@ from carrl.sim.vehicle import VehicleModel
 # Written out, since Numba's cache sees only changes to this file.
 _TINY = np.finfo(np.float64).tiny
 _Vector = tuple[float, float]
+_Way = tuple[float, float, float, float]
 _LANES = 8
 """Rays are computed so many at a time, which is as many numbers as fit into a register of the widest processors."""
 
@@ -30,12 +31,10 @@ class World(NamedTuple):
     """What stays the same from step to step; the arrays are C-contiguous, the first nine those of `CollisionGeometry`.
 
     Attributes:
-        fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
-        rays: how many of them count.
+        fan, rays: cosines and sines of the rays' angles from the heading, [2, R'], float64, and how many of them count.
         mount: how far ahead of the car's middle they start, m.
         max_range: of the rays, m.
-        body_radius: of the disc that must not touch a wall, m; 0 for a rectangle.
-        half_length, half_width: of the rectangle that must not, m; 0 for a disc.
+        body_radius, half_length, half_width: of the body that must not touch a wall, m; 0 for what it has not.
         most_gates: how many gates one step can cross at the most.
     """
 
@@ -157,23 +156,22 @@ def _follow(
     following, since_start, passed = np.empty(cars, np.int64), np.empty(cars, np.int64), np.empty(cars, np.int64)
     collided = np.empty(cars, np.bool_)
     work = np.empty((3, world.fan.shape[1]))
-    is_rectangle = world.half_length > 0
     for car in range(cars):
         _check_place(world, track[car], next_gate[car])
         begin_x, begin_y = np.float64(before[car, 0]), np.float64(before[car, 1])
         x, y, heading = np.float64(after[car, 0]), np.float64(after[car, 1]), np.float64(after[car, 2])
-        path_x, path_y = x - begin_x, y - begin_y
+        way = begin_x, begin_y, x - begin_x, y - begin_y
         deck = _deck(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, deck)
         # What is no number fails every comparison: such a car would drive on for ever.
         hit = not math.isfinite(x + y)
-        if is_rectangle:
-            hit = hit or _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        if world.half_length > 0:
+            hit = hit or _rectangle_touches(world, begin, touching, way, heading)
         else:
-            hit = hit or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
+            hit = hit or _disc_touches(world, begin, touching, way)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
-        crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
+        crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], way)
         collided[car], passed[car], following[car] = hit, crossed, (next_gate[car] + crossed) % len(gates)
         since_start[car] = gates_passed[car] + crossed
         if _deck(world, track[car], following[car]) != deck:
@@ -210,11 +208,9 @@ def _walls_near(world: World, x: float, y: float, deck: int) -> tuple[int, int, 
 
 
 @inlined
-def _disc_touches(
-    world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float
-) -> bool:
+def _disc_touches(world: World, begin: int, end: int, way: _Way) -> bool:
     """Whether the disc touches a wall of these entries on its straight way."""
-    radius = world.body_radius
+    radius, (begin_x, begin_y, path_x, path_y) = world.body_radius, way
     end_x, end_y = begin_x + path_x, begin_y + path_y
     for entry in range(begin, end):
         first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
@@ -237,11 +233,9 @@ def _disc_touches(
 
 
 @apart
-def _rectangle_touches(
-    world: World, begin: int, end: int, begin_x: float, begin_y: float, path_x: float, path_y: float, heading: float
-) -> bool:
+def _rectangle_touches(world: World, begin: int, end: int, along: _Way, heading: float) -> bool:
     """Whether the rectangle touches a wall of these entries on its straight way: see `geometry.rectangle_touches`."""
-    cos, sin = math.cos(heading), math.sin(heading)
+    (begin_x, begin_y, path_x, path_y), cos, sin = along, math.cos(heading), math.sin(heading)
     way = cos * path_x + sin * path_y, cos * path_y - sin * path_x  # in the frame of the rectangle
     reach_x = abs(cos) * world.half_length + abs(sin) * world.half_width
     reach_y = abs(sin) * world.half_length + abs(cos) * world.half_width
@@ -249,10 +243,9 @@ def _rectangle_touches(
     low_y, high_y = begin_y + min(path_y, 0.0) - reach_y, begin_y + max(path_y, 0.0) + reach_y
     for entry in range(begin, end):
         first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
-        if max(first_x, last_x) <= low_x or min(first_x, last_x) >= high_x:
-            continue  # as most walls are
-        if max(first_y, last_y) <= low_y or min(first_y, last_y) >= high_y:
-            continue
+        beside = max(first_x, last_x) <= low_x or min(first_x, last_x) >= high_x
+        if beside or max(first_y, last_y) <= low_y or min(first_y, last_y) >= high_y:
+            continue  # as of most walls
         first_x, first_y, last_x, last_y = first_x - begin_x, first_y - begin_y, last_x - begin_x, last_y - begin_y
         first = cos * first_x + sin * first_y, cos * first_y - sin * first_x
         last = cos * last_x + sin * last_y, cos * last_y - sin * last_x
@@ -287,11 +280,9 @@ def _squared_distance(x: float, y: float, start_x: float, start_y: float, edge_x
 
 
 @inlined
-def _count_gates(
-    gates: np.ndarray, most: int, next_gate: int, begin_x: float, begin_y: float, path_x: float, path_y: float
-) -> int:
+def _count_gates(gates: np.ndarray, most: int, next_gate: int, way: _Way) -> int:
     """How many of a track's gates [G, 4] the straight way crosses forward and in order."""
-    passed = 0
+    passed, (begin_x, begin_y, path_x, path_y) = 0, way
     while passed < most:
         left_x, left_y, right_x, right_y = gates[(next_gate + passed) % len(gates)]
         across_x, across_y = right_x - left_x, right_y - left_y

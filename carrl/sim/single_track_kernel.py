@@ -343,11 +343,5 @@ def _linear_drive(car: Constants, speed: float, wanted: float) -> float:
 @inlined
 def _settled(car: Constants, motion: _Motion) -> _Motion:
     """As `carrl.sim.tyres.Linear.settled`."""
-    return (
-        motion[0],
-        motion[1],
-        motion[2],
-        max(min(motion[3], car.max_speed), car.min_speed),
-        _within(motion[4], car.most_spin),
-        _within(motion[5], car.most_spin),
-    )
+    speed, most = max(min(motion[3], car.max_speed), car.min_speed), car.most_spin
+    return motion[0], motion[1], motion[2], speed, _within(motion[4], most), _within(motion[5], most)
