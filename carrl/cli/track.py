@@ -97,16 +97,22 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from carrl.tracks.circuits import load_folder
+    from carrl.tracks.circuits import FolderError, load_folder
     from carrl.tracks.inspection import inspect_track
     from carrl.tracks.library import library_folders
     from carrl.tracks.track import Track, builtin_names
 
     named = list(map(Path, arguments.folders)) or library_folders()
-    folders = [load_folder(folder) for folder in named]
-    refused = [(str(path), reason) for folder in folders for path, reason in folder.refused.items()]
-    built_in = [] if arguments.folders else [Track.load(name) for name in builtin_names()]
-    reports = [inspect_track(track) for track in [*built_in, *(track for folder in folders for track in folder.tracks)]]
+    tracks = [] if arguments.folders else [Track.load(name) for name in builtin_names()]
+    refused: list[tuple[str, str]] = []
+    for folder in named:
+        try:
+            found, bad = load_folder(folder)
+        except FolderError as error:
+            found, bad = [], error.refused or {folder: str(error)}
+        tracks += found
+        refused += [(str(path), reason) for path, reason in bad.items()]
+    reports = [inspect_track(track) for track in tracks]
     if arguments.json:
         _print_json([_as_json(report) for report in reports])
     else:

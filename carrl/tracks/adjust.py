@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 SCALES = 1e-3, 1e3
 DIRECTIONS = ("clockwise", "counterclockwise")
+_LEAST_TURN = 0.01
+"""Area within a road that is driven one way round, in those of a circle as long; it is 0 of an even figure eight."""
 _EXACT = 1e-3
 """Walls that the offset centreline meets this closely, m, need no other points."""
 _STEPS_ACROSS = 40
@@ -92,7 +94,12 @@ def _scaled(road: Road, scale: float) -> Road:
 def _directed(road: Road, direction: str) -> Road:
     if direction not in DIRECTIONS:
         raise TrackError(f"direction is {shown(direction)}; it must be {' or '.join(DIRECTIONS)}")
-    is_clockwise = signed_area(road.centre) < 0
+    area, round_area = signed_area(road.centre), arc_lengths(road.centre)[-1] ** 2 / (4 * math.pi)
+    if abs(area) < _LEAST_TURN * round_area:
+        raise TrackError(
+            f"direction is {direction}, but it goes as far around to one side as to the other; leave it out"
+        )
+    is_clockwise = area < 0
     if is_clockwise == (direction == DIRECTIONS[0]):
         return road
     centre, left, right = (np.roll(line[::-1], 1, axis=0) for line in (road.centre, road.right, road.left))
@@ -104,8 +111,15 @@ def _started_at(road: Road, place: Sequence[float]) -> Road:
     if not (isinstance(place, Sequence) and len(place) == 2 and all(map(_is_number, place))):
         raise TrackError(f"start_at is {shown(place)}; it must be [x, y], m")
     lines = np.stack([road.centre, road.left, road.right], axis=1)
+    low, high = lines.min(axis=(0, 1)), lines.max(axis=(0, 1))
+    margin = (high - low) / 2
+    if not ((low - margin <= place) & (place <= high + margin)).all():
+        raise TrackError(
+            f"start_at is {shown(list(place))}, far beyond the road, which is from [{low[0]:.6g}, {low[1]:.6g}] to "
+            f"[{high[0]:.6g}, {high[1]:.6g}] m, after scaling"
+        )
     way = np.roll(lines, -1, axis=0) - lines
-    away = np.asarray(place, dtype=np.float64).clip(-MAX_COORDINATE, MAX_COORDINATE) - lines[:, 0]
+    away = np.asarray(place, dtype=np.float64) - lines[:, 0]
     share = ((away * way[:, 0]).sum(axis=1) / (way[:, 0] ** 2).sum(axis=1)).clip(0, 1)
     index = int(np.linalg.norm(away - share[:, None] * way[:, 0], axis=1).argmin())
     start = lines[index] + share[index] * way[index]

@@ -107,6 +107,18 @@ def _load_or_warn(folder: Path, gate_spacing: float | None, scale: float) -> lis
     return tracks
 
 
+class FolderError(TrackError):
+    """A folder without a circuit.
+
+    Attributes:
+        refused: of each file in it that is none, its path and the sentence that says why.
+    """
+
+    def __init__(self, message: str, refused: dict[Path, str] | None = None) -> None:
+        super().__init__(message)
+        self.refused = refused or {}
+
+
 class Folder(NamedTuple):
     """What a folder holds.
 
@@ -123,9 +135,11 @@ def load_folder(folder: Path, gate_spacing: float | None = None, scale: float = 
     """Loads all circuits of a folder and of those below it, and tells which files could not be read.
 
     Raises:
-        TrackError: none of them could be read, there are too many, or there is no such folder.
+        FolderError: none of them could be read, or there are too many.
+        TrackError: there is no such folder.
     """
-    tracks, refused = [], {}
+    tracks: list[Track] = []
+    refused: dict[Path, str] = {}
     for path in circuit_files(folder):
         try:
             found = Track.load_all(path, gate_spacing, scale)
@@ -136,7 +150,7 @@ def load_folder(folder: Path, gate_spacing: float | None = None, scale: float = 
             tracks += [replace(track, name=str(PurePosixPath(below, track.name))) for track in found]
     if not tracks:
         reasons = "; ".join(refused.values())
-        raise TrackError(f"folder '{folder}' has no file that can be read as a track: {reasons}")
+        raise FolderError(f"folder '{folder}' has no file that can be read as a track: {reasons}", refused)
     return Folder(tracks, refused)
 
 
@@ -144,12 +158,13 @@ def circuit_files(folder: Path) -> list[Path]:
     """The files of a folder, and of those below it that are not hidden, that are taken for circuits, in order.
 
     Raises:
-        TrackError: there is none, too many, or no such folder.
+        FolderError: there is none, or too many.
+        TrackError: there is no such folder.
     """
     found = sorted(islice(files_below(folder), MOST_CIRCUITS + 1))
     if not 0 < len(found) <= MOST_CIRCUITS:
         count = f"more than {MOST_CIRCUITS}" if found else "0"
-        raise TrackError(
+        raise FolderError(
             f"folder '{folder}' has {count} files that end in {', '.join(READERS)}; "
             f"it must have at least one and at most {MOST_CIRCUITS}"
         )

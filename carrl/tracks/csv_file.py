@@ -35,6 +35,18 @@ Row = tuple[int, list[str]]
 """The number of the line where a row begins, and its cells."""
 
 
+class MissingColumnsError(TrackError):
+    """A table without some of the columns of a road.
+
+    Attributes:
+        columns: those that it lacks.
+    """
+
+    def __init__(self, message: str, columns: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.columns = tuple(columns)
+
+
 def write_csv(path: Path, centreline: Centreline) -> None:
     """Writes a file that `read_csv` reads back to a micrometre, whole or not at all.
 
@@ -75,7 +87,8 @@ def read_columns(path: Path, columns: Sequence[str]) -> Columns:
     """Reads those columns of a file that are called so, or as in `ALSO_CALLED`, or all without a header.
 
     Raises:
-        TrackError: the file is not such a table, lacks one of the columns, or a value in it cannot be a road's.
+        MissingColumnsError: it lacks one of the columns.
+        TrackError: the file is not such a table, or a value in it cannot be a road's.
     """
     comments, rows = _read_rows(path)
     first = next((index for index, (_, row) in enumerate(rows) if any(map(_is_number, row[:MOST_NAMES]))), len(rows))
@@ -109,7 +122,7 @@ def _read_rows(path: Path) -> tuple[list[Row], list[Row]]:
         for row in reader:
             content = delimiter.join(row).strip()
             if content.startswith("#"):
-                comments.append((line, _parted(content[: 40 * MOST_NAMES].lstrip("# "))))
+                comments.append((line, _parted(content[: 40 * MOST_NAMES].lstrip("# "), delimiter)))
             elif content.strip(delimiter).strip():
                 rows.append((line, row if delimiter == "," else [cell.replace(",", ".") for cell in row]))
             if len(rows) > MOST_POINTS + 2 or len(comments) > MOST_COMMENTS:
@@ -131,16 +144,22 @@ def _delimiter_of(text: str) -> str:
     return next(found, " " if lines and " " in lines[-1].strip() else ",")
 
 
-def _parted(comment: str) -> list[str]:
-    """A comment as the names of a header, whatever parts them: not always what parts the numbers."""
-    return re.split(r"[;,\t]" if re.search(r"[;,\t]", comment) else r"\s+", comment)
+def _parted(comment: str, delimiter: str) -> list[str]:
+    """A comment as the names of a header, whatever parts them: not always what parts the numbers.
+
+    Words that only blanks part, where other things part the numbers, are a header if a column is called like one.
+    """
+    if re.search(r"[;,\t]", comment):
+        return re.split(r"[;,\t]", comment)
+    words = comment.split()
+    return words if delimiter == " " or _find(words, COLUMNS) != [None] * len(COLUMNS) else [comment]
 
 
 def _order(path: Path, headers: list[Row], rows: list[Row], columns: Sequence[str]) -> tuple[list[int], bool]:
     """Where the columns stand, and whether a header says so.
 
     Raises:
-        TrackError: no header has them all, and there are not just so many without one.
+        MissingColumnsError: no header has them all, and there are not just so many without one.
     """
     headers = [(line, names[:MOST_NAMES]) for line, names in headers[:MOST_COMMENTS]]
     found = [_find(names, columns) for _, names in headers]
@@ -149,20 +168,29 @@ def _order(path: Path, headers: list[Row], rows: list[Row], columns: Sequence[st
         return [index for index in found[best] if index is not None], True
     if best is None or found[best].count(None) == len(columns):
         cells = [cell for cell in rows[0][1] if cell.strip()] if rows else []
-        if len(cells) == len(columns) == len([cell for cell in cells if _is_number(cell)]):
+        above = [at for at, (line, _) in enumerate(headers) if rows and line < rows[0][0]]
+        others = [at for at in above if _are_names(headers[at][1], len(cells))]
+        if not others and len(cells) == len(columns) == len([cell for cell in cells if _is_number(cell)]):
             return list(range(len(columns))), False
-        if rows and (best is None or headers[best][0] > rows[0][0]):
-            raise TrackError(
+        if not others and rows and (best is None or headers[best][0] > rows[0][0]):
+            raise MissingColumnsError(
                 f"track '{path.name}': there is no header, and line {rows[0][0]} has {len(cells)} columns; only four "
-                f"are taken for {', '.join(COLUMNS)} without one, so put {_HEADER} first"
+                f"are taken for {', '.join(COLUMNS)} without one, so put {_HEADER} first",
+                columns[2:],
             )
-        best = 0
+        best = others[0] if others else 0
     line, names = headers[best]
     missing = [column for column, index in zip(columns, found[best], strict=True) if index is None]
-    raise TrackError(
+    raise MissingColumnsError(
         f"track '{path.name}': the header in line {line} has no column {', '.join(missing)}; it has "
-        f"{_cut(', '.join(name.strip() for name in names))}, and must have {_HEADER}"
+        f"{_cut(', '.join(name.strip() for name in names))}, and must have {_HEADER}",
+        missing,
     )
+
+
+def _are_names(cells: Sequence[str], count: int) -> bool:
+    """Whether these are the names of so many columns, of other tools or in other units, which CarRL does not know."""
+    return len([cell for cell in cells if cell.strip()]) == count > 1 and not any(map(_is_number, cells))
 
 
 def _find(names: list[str], columns: Sequence[str]) -> list[int | None]:

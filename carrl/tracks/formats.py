@@ -31,6 +31,14 @@ def _read_xml(path: Path, walls: str | None = None) -> Road | list[Road]:
     raise TrackError(f"track '{path.name}': this XML is {shown(tag)}; CarRL reads params, as of TORCS, and OpenDRIVE")
 
 
+def _read_unknown(path: Path, width: float | None = None) -> Road:
+    try:
+        return raceline.read(path, width)
+    except TrackError as error:
+        raise TrackError(f"{error}; as its name ends in none of {', '.join(READERS)}, it was read as CSV") from None
+
+
+PICTURES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg")
 READERS: dict[str, Reader] = {
     ".csv": raceline.read,
     ".npy": read_waypoints,
@@ -55,7 +63,9 @@ def read_roads(path: Path, **options: Any) -> list[Road]:
     """
     if os.path.isdir(path):  # Path.is_dir raises on a name that is too long or may not be looked up.
         raise TrackError(f"track '{path}': this is a folder; name a file in it")
-    reader = READERS.get(path.suffix.lower(), raceline.read)
+    if path.suffix.lower() in PICTURES and os.path.isfile(path):
+        raise TrackError(f"track '{path.name}': this is a picture; name the YAML file beside it that makes it a map")
+    reader = READERS.get(path.suffix.lower(), _read_unknown)
     given = {key: value for key, value in options.items() if value is not None}
     check_options(path.name, list(inspect.signature(reader).parameters)[1:], given)
     roads = reader(path, **given)

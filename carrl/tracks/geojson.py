@@ -69,7 +69,7 @@ def read(path: Path, width: float | None = None) -> list[Road]:
 
 
 def write(path: Path, centreline: Centreline) -> None:
-    """Writes a line about the point at longitude and latitude 0 that `read` reads back to a millimetre.
+    """Writes a line about the point at longitude and latitude 0 that `read` reads back to ten micrometres.
 
     Raises:
         TrackError: it cannot be written there.
@@ -79,7 +79,7 @@ def write(path: Path, centreline: Centreline) -> None:
     feature = {
         "type": "Feature",
         "properties": {"name": path.stem, "origin": [0.0, 0.0], **widths},
-        "geometry": {"type": "LineString", "coordinates": np.round([*degrees, degrees[0]], 9).tolist()},
+        "geometry": {"type": "LineString", "coordinates": np.round([*degrees, degrees[0]], 11).tolist()},
     }
     content = json.dumps({"type": "FeatureCollection", "features": [feature]})
     write_whole(path, content.encode(), TrackError)
@@ -103,18 +103,29 @@ def _circuits(path: Path) -> list[_Circuit]:
     for number, feature in enumerate(features, start=1):
         geometry, properties = feature["geometry"], feature.get("properties")
         properties = properties if isinstance(properties, dict) else {}
-        name = str(next((properties[key] for key in NAMES if isinstance(properties.get(key), str)), number))[:100]
+        called = (*(properties.get(key) for key in NAMES), feature.get("id"), number)
+        name = next(str(each) for each in called if isinstance(each, str | int))[:100]
         name = f"{name}-{number}" if any(name == each.name for each in circuits) else name
-        kind = geometry.get("type") if isinstance(geometry, dict) else None
+        kind, coordinates = _line_of(geometry)
         if len(circuits) == MOST_CIRCUITS:
             raise TrackError(f"track '{path.name}': it has more than {MOST_CIRCUITS} circuits; leave out some")
         if kind == "LineString":
-            circuits.append(_Circuit(name, properties, _degrees(path, name, geometry.get("coordinates"))))
-        elif kind not in ("Point", "MultiPoint"):
+            circuits.append(_Circuit(name, properties, _degrees(path, name, coordinates)))
+        elif geometry is not None and kind not in ("Point", "MultiPoint"):
             raise _error(path, name, f"its geometry is {shown(kind)}; it must be a LineString, closed, along the road")
     if not circuits:
         raise TrackError(f"track '{path.name}': there is no LineString in it, so no road; points are only places")
     return circuits
+
+
+def _line_of(geometry: Any) -> tuple[Any, Any]:
+    """Type and coordinates of a geometry, a MultiLineString of one line as that line."""
+    if not isinstance(geometry, dict):
+        return None, None
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if kind == "MultiLineString" and isinstance(coordinates, list) and len(coordinates) == 1:
+        return "LineString", coordinates[0]
+    return kind, coordinates
 
 
 def _degrees(path: Path, name: str, coordinates: Any) -> np.ndarray:
@@ -130,8 +141,13 @@ def _degrees(path: Path, name: str, coordinates: Any) -> np.ndarray:
 
 def _road(path: Path, circuit: _Circuit, width: float | None, name: str | None) -> Road:
     """The road on a plane, m."""
-    properties = circuit.properties
-    origin = properties.get("origin")
+    left, right = (_widths(path, circuit, name) for name in WIDTHS)
+    as_drawn = left is not None and right is not None
+    if (left is None) != (right is None):
+        raise _error(path, circuit.name, f"it has one of {' and '.join(WIDTHS)}; give both, or none")
+    if as_drawn and width is not None:
+        raise _error(path, circuit.name, f"width is {shown(width)}, but this line has widths of its own")
+    origin = circuit.properties.get("origin") if as_drawn else None  # another tool's may be anything
     if origin is None:
         origin = _middle(circuit.degrees)
     elif not (isinstance(origin, list) and len(origin) == 2 and all(map(_is_number, origin))):
@@ -139,9 +155,7 @@ def _road(path: Path, circuit: _Circuit, width: float | None, name: str | None) 
     points = _in_metres(circuit.degrees, np.asarray(origin, dtype=np.float64))
     if not np.abs(points).max() <= MAX_COORDINATE:
         raise _error(path, circuit.name, f"its points are more than {MAX_COORDINATE / 1000:.0f} km from their middle")
-    left, right = (_widths(path, circuit, name) for name in WIDTHS)
-    as_drawn = left is not None and right is not None
-    if left is None or right is None or width is not None:
+    if left is None or right is None:
         left = right = np.full(len(points), (width or DEFAULT_WIDTH) / 2)
     notes = () if as_drawn or width else (f"no widths, so {DEFAULT_WIDTH:g} m unless track.width says otherwise",)
     table, repeats = without_repeats(np.column_stack([points, left, right]))

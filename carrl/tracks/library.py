@@ -66,10 +66,17 @@ def roads_of(name_or_path: str | Path, **options: Any) -> list[tuple[str, Road]]
     if path is None:
         raise TrackError(
             f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
-            f"{', '.join(DRAWINGS)}, and {VARIABLE} may list folders of others"
+            f"{', '.join(DRAWINGS)}, and {_others()}"
         )
     roads = read_roads(path, **options)
     return [(path.name if road.name is None else f"{path.name}/{road.name}", road) for road in roads]
+
+
+def _others() -> str:
+    """Where there are tracks beside the built-in ones."""
+    if os.environ.get(VARIABLE):
+        return f"none in the folders of {VARIABLE} has this name; see carrl track list"
+    return f"{VARIABLE} may list folders of others"
 
 
 def files_below(folder: Path) -> Iterator[Path]:

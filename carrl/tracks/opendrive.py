@@ -19,6 +19,8 @@ from carrl.tracks.xml_file import read_xml
 
 DRIVEN = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane")
 """Types of the lanes that are road; walls stand beyond the outermost of them."""
+NOTES = ("userData", "include", "dataQuality")
+"""Elements that may be anywhere and say nothing of a road's shape."""
 SHORTEST = 1e-6
 """Length of a geometry, m; shorter ones are left out."""
 WIDEST_GAP = 0.5
@@ -200,7 +202,7 @@ class _Road:
     def _pieces(self) -> list[Piece]:
         pieces: list[Piece] = []
         points, length = 0, 0.0
-        for element in self._element.iterfind("planView/geometry"):
+        for element in self._in_order("planView/geometry"):
             piece = self._piece(element)
             if piece.length < SHORTEST:
                 continue
@@ -216,7 +218,7 @@ class _Road:
         x, y, heading, length = (self._number(element, name) for name in ("x", "y", "hdg", "length"))
         if not 0 <= length <= MAX_LENGTH:
             raise self._error(f"a length is {length:g} m; it must be at least 0 and at most {MAX_LENGTH:g}")
-        shape = element[0] if len(element) else Element("nothing")
+        shape = next((child for child in element if child.tag not in NOTES), Element("nothing"))
         if shape.tag == "line":
             return Piece(x, y, heading, length)
         if shape.tag == "arc":
@@ -232,10 +234,16 @@ class _Road:
 
     @cached_property
     def _sections(self) -> list[Element]:
-        sections = self._element.findall("lanes/laneSection")
+        sections = self._in_order("lanes/laneSection")
         if not sections:
             raise self._error("it has no laneSection")
+        if any(section.get("singleSide") == "true" for section in sections):
+            raise self._error("a laneSection has lanes of a singleSide; write those of both sides in each")
         return sections
+
+    def _in_order(self, path: str) -> list[Element]:
+        """Elements that are in force from their `s` on, as they follow each other along the road."""
+        return sorted(self._element.iterfind(path), key=lambda element: self._number(element, "s"))
 
     def _offsets(self, station: np.ndarray) -> np.ndarray:
         """How far to the left of the reference line its edges are at distances along it [P], m: [P, 2], left first."""
@@ -278,7 +286,7 @@ class _Road:
                     yield side, lane
 
     def _cubics(self, elements: Iterator[Element], begin: str, at: np.ndarray) -> np.ndarray:
-        """Values of cubic polynomials, each in force from its `begin` on, at distances [P]; 0 where there are none."""
+        """Values of cubic polynomials, each in force from its `begin` on, at distances [P]; 0 where there is none."""
         rows = sorted([self._number(each, name) for name in (begin, "a", "b", "c", "d")] for each in elements)
         if not rows:
             return np.zeros(len(at))
@@ -286,7 +294,7 @@ class _Road:
         which = np.maximum(np.searchsorted(table[:, 0], at, side="right") - 1, 0)
         begins, a, b, c, d = table[which].T
         along = at - begins
-        values = a + along * (b + along * (c + along * d))
+        values = np.where(along < -SHORTEST, 0.0, a + along * (b + along * (c + along * d)))
         if not (np.abs(values) <= MAX_COORDINATE).all():
             raise self._error(f"a width or offset is more than {MAX_COORDINATE:.0f} m")
         return values

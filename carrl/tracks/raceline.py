@@ -11,7 +11,7 @@ import numpy as np
 
 from carrl.errors import TrackError, shown
 from carrl.tracks.centreline import MIN_POINTS, Road, without_repeats
-from carrl.tracks.csv_file import COLUMNS, centreline_of, read_columns
+from carrl.tracks.csv_file import COLUMNS, MissingColumnsError, centreline_of, read_columns
 
 LINE = ("x_m", "y_m")
 ON_NORMALS = (*COLUMNS[:2], "x_normvec_m", "y_normvec_m", "alpha_m")
@@ -35,8 +35,8 @@ def read(path: Path, width: float | None = None) -> Road:
     notes, reference = [], None
     try:
         table, has_header = read_columns(path, COLUMNS)
-    except TrackError as no_road:
-        line = _read(path, LINE)
+    except MissingColumnsError as no_road:
+        line = _read(path, LINE) if no_road.columns == COLUMNS[2:] else None
         if line is None or len(line) < MIN_POINTS:
             raise
         if width is None:

@@ -6,6 +6,7 @@ Shapes: `H`, `W` rows and columns of the picture; `P` points of the centreline.
 import io
 import math
 import os
+import re
 import struct
 import warnings
 import zlib
@@ -42,17 +43,19 @@ _TRINARY = 3
 _FREE, _OCCUPIED = 254, 0
 _THRESHOLDS = (0.65, 0.25)
 """What nav2's map saver writes."""
+_KEY = rb"""(?m)^([^#\n]*[{,])?(\xef\xbb\xbf)?\s*["']?%s["']?\s*:"""
+"""A key of a YAML file's mapping: alone in its line or in braces, with or without quotes."""
 _BROKEN = (OSError, ValueError, SyntaxError, EOFError, TypeError, IndexError, struct.error, zlib.error, MemoryError)
 """What Pillow raises for files that are damaged."""
 
 
 def is_map(path: Path) -> bool:
-    """Whether a YAML file is a map rather than a drawing: it has lines that begin with image and resolution."""
+    """Whether a YAML file is a map rather than a drawing: it has the keys image and resolution."""
     try:
-        lines = read_whole(path, MAX_YAML_BYTES, f"track '{path.name}'", TrackError).splitlines()
+        content = read_whole(path, MAX_YAML_BYTES, f"track '{path.name}'", TrackError)
     except TrackError:
         return False
-    return all(any(line.startswith(key) for line in lines) for key in (b"image:", b"resolution:"))
+    return all(re.search(_KEY % key, content) for key in (b"image", b"resolution"))
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ def read_map_file(path: Path) -> MapFile:
             f"occupied_thresh: {_THRESHOLDS[0]}, free_thresh: {_THRESHOLDS[1]}"
         )
     mode = values.get("mode", "trinary")
-    if mode not in ("trinary", "scale"):
+    if str(mode).lower() not in ("trinary", "scale"):
         raise TrackError(f"{name}: mode is {shown(mode)}; CarRL reads trinary and scale")
     image, origin = values["image"], values["origin"]
     if not isinstance(image, str) or not image or "\0" in image:
@@ -186,6 +189,8 @@ def read_map_file(path: Path) -> MapFile:
 
 
 def _number(name: str, key: str, value: Any, low: float = -MAX_COORDINATE, high: float = MAX_COORDINATE) -> float:
+    if isinstance(value, str) and re.fullmatch(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+", value):
+        value = float(value)  # nav2 writes 5e-17 without a point, which is a word to YAML 1.1
     if not isinstance(value, int | float) or not low <= value <= high:
         raise TrackError(f"{name}: {key} is {shown(value)}; it must be a number from {low:g} to {high:g}")
     return float(value)
@@ -201,12 +206,13 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-                if not LEAST_PIXELS <= image.width * image.height <= MOST_PIXELS:
-                    raise TrackError(f"{name} has {image.width} x {image.height} {limits}")
+            with Image.open(io.BytesIO(content), formats=_FORMATS) as file:
+                if not LEAST_PIXELS <= file.width * file.height <= MOST_PIXELS:
+                    raise TrackError(f"{name} has {file.width} x {file.height} {limits}")
+                image = _in_plain_colours(file)
                 opaque = np.asarray(image.getchannel("A")) > 0 if "A" in image.getbands() else None
                 is_deep = image.mode.startswith(("I", "F"))  # 16 bits, which Pillow keeps in 16 or 32
-                flat = Image.fromarray(_in_8_bits(np.asarray(image))) if is_deep else image.convert("L")
+                flat = Image.fromarray(_in_8_bits(np.asarray(image))) if is_deep else _in_grey(image)
                 count, shades = np.count_nonzero(flat.histogram()), np.asarray(flat)[::-1]
         except (Image.DecompressionBombError, Image.DecompressionBombWarning):
             raise TrackError(f"{name} has a huge number of {limits}") from None
@@ -217,6 +223,20 @@ def _read_image(path: Path, map_file: MapFile) -> tuple[np.ndarray, np.ndarray |
     if opaque is not None:
         free &= opaque[::-1]
     return free, occupancy if count > _TRINARY else None
+
+
+def _in_plain_colours(image: Image.Image) -> Image.Image:
+    """The picture without a palette, and with an alpha channel where one of its colours means transparent."""
+    if "transparency" in image.info and image.mode in ("1", "L", "P", "RGB"):
+        return image.convert("RGBA")
+    return image.convert("RGB") if image.mode == "P" else image
+
+
+def _in_grey(image: Image.Image) -> Image.Image:
+    """The mean of red, green and blue, as map servers take it: yellow lines on white are walls."""
+    if image.mode not in ("RGB", "RGBA"):
+        return image.convert("L")
+    return image.convert("RGB").convert("L", (1 / 3, 1 / 3, 1 / 3, 0))
 
 
 def _in_8_bits(shades: np.ndarray) -> np.ndarray:

@@ -221,7 +221,9 @@ class _Reader:
             return default
         text, unit = found.get("val", ""), found.get("unit", "")
         if unit not in UNITS:
-            raise self.error(section, f"the unit of {name} is {shown(unit)}; it must be one of {', '.join(UNITS)}")
+            raise self.error(
+                section, f"the unit of {name} is {shown(unit)}; it must be one of {', '.join(filter(None, UNITS))}"
+            )
         try:
             value = float(text.replace("_", "?")) * UNITS[unit]
         except ValueError:

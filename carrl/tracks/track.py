@@ -69,7 +69,7 @@ class Track:
         direction: str | None = None,
         start_at: Sequence[float] | None = None,
         walls: str | None = None,
-        circuit: str | None = None,
+        circuit: str | int | None = None,
     ) -> "Track":
         """Loads a built-in track by name, or a file by path, or a file of the library by name.
 
@@ -91,14 +91,15 @@ class Track:
         """
         tracks = Track.load_all(name_or_path, gate_spacing, scale, width, direction, start_at, walls)
         names = [track.name.partition("/")[2] for track in tracks]
-        if circuit is not None and circuit not in names:
+        wanted = None if circuit is None else str(circuit)
+        if wanted is not None and wanted not in names:
             others = f"it has {_some(names)}" if len(names) > 1 else "it has only one, so leave that out"
             raise TrackError(f"track '{name_or_path}': there is no circuit '{circuit}' in it; {others}")
-        if circuit is None and len(names) > 1:
+        if wanted is None and len(names) > 1:
             raise TrackError(
                 f"track '{name_or_path}': it has {len(names)} circuits, {_some(names)}; name one as track.circuit"
             )
-        return tracks[0 if circuit is None else names.index(circuit)]
+        return tracks[0 if wanted is None else names.index(wanted)]
 
     @staticmethod
     def load_all(

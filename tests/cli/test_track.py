@@ -209,6 +209,20 @@ def test_the_library_is_listed_with_its_bad_files_in_one_table(folder, capsys, m
     assert main(["track", "show", "Ring"]) == 0
 
 
+def test_a_folder_without_a_circuit_does_not_hide_the_others_of_the_library(folder, capsys, monkeypatch):
+    for name in ("good", "bad", "empty"):
+        (folder / name).mkdir()
+    assert main(["track", "convert", "oval", "good/Ring.csv"]) == 0
+    (folder / "bad" / "notes.csv").write_text("to do")
+    monkeypatch.setenv("CARRL_TRACKS", "bad:empty:good")
+    capsys.readouterr()
+    assert main(["track", "list"]) == 2
+    out, err = capsys.readouterr()
+    assert all(name in out for name in ("oval", "serpentine", "Ring.csv"))
+    assert "2 files that are no tracks" in err
+    assert "notes.csv" in err and "empty" in err
+
+
 def test_a_run_takes_a_track_of_the_library_by_its_name_and_at_any_scale(folder, monkeypatch):
     (folder / "mine").mkdir()
     monkeypatch.setenv("CARRL_TRACKS", str(folder / "mine"))
@@ -220,6 +234,14 @@ def test_a_run_takes_a_track_of_the_library_by_its_name_and_at_any_scale(folder,
     config = compose("track=file", f"track.name_or_path={path}", "track.scale=2", "track.start_at=[0,0]")
     track = build_node("track", config["track"])
     assert track.length == pytest.approx(2 * Track.load("oval").length, rel=1e-3)
+
+
+def test_a_run_takes_a_circuit_whose_name_is_a_number(folder):
+    line = {"type": "LineString", "coordinates": [[0, 0], [0.002, 0], [0.002, 0.002], [0, 0.002], [0, 0]]}
+    features = [{"type": "Feature", "properties": {"id": number}, "geometry": line} for number in (2, 1)]
+    (folder / "rings.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    config = compose("track=file", "track.name_or_path=rings.geojson", "track.circuit=2")
+    assert build_node("track", config["track"]).name == "rings.geojson/2"
 
 
 def test_check_looks_at_all_circuits_of_a_file_or_at_the_one_that_is_named(folder, capsys):

@@ -69,6 +69,20 @@ def test_a_scale_that_is_none_is_refused(tmp_path, scale, says):
         Track.load(tmp_path / "square.yaml", scale=scale)
 
 
+@pytest.mark.parametrize("place", [[1e9, 0], [0, -300], [float("inf"), 0]])
+def test_a_start_that_is_nowhere_near_the_road_is_refused(model_road, place):
+    with pytest.raises(TrackError, match=r"start_at is \[.*\](, far beyond the road, which is from \[|; it must be)"):
+        Track.load(model_road, start_at=place)
+
+
+def test_an_even_figure_eight_goes_neither_way_round(tmp_path):
+    angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    rows = np.stack([200 * np.sin(angle), 100 * np.sin(2 * angle), 0 * angle + 4, 0 * angle + 4], axis=1)
+    np.savetxt(tmp_path / "eight.csv", rows, delimiter=",")
+    with pytest.raises(TrackError, match="direction is clockwise, but it goes as far around to one side as to the oth"):
+        Track.load(tmp_path / "eight.csv", direction="clockwise")
+
+
 def test_a_direction_turns_only_tracks_that_go_the_other_way(model_road):
     track = Track.load(model_road)
     assert LinearRing(track.centreline.numpy()).is_ccw

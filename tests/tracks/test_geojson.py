@@ -126,7 +126,32 @@ def test_what_was_written_is_read_with_its_widths_at_the_same_place(tmp_path: Pa
     track, written = Track.load(path), Track.from_centreline("ring", centreline)
     for part in ("centreline", "left_wall", "right_wall"):
         np.testing.assert_allclose(getattr(track, part), getattr(written, part), atol=1e-3)
-    assert inspect_track(Track.load(path, width=6.0)).width_max == pytest.approx(6, abs=0.05)
+    with pytest.raises(TrackError, match=r"width is 6\.0, but this line has widths of its own"):
+        Track.load(path, width=6.0)
+
+
+def test_what_was_written_has_its_points_to_ten_micrometres(tmp_path: Path):
+    """A tenth of a millimetre is enough to cut the inner wall of a hairpin elsewhere."""
+    points = np.array([[100.123456, 7.7], [80.654321, 90.5], [-95.2, 60.1], [-60.7, -80.3]])
+    geojson.write(tmp_path / "ring.geojson", Centreline(points, np.full(4, 4.0), np.full(4, 4.0)))
+    np.testing.assert_allclose(geojson.read(tmp_path / "ring.geojson")[0].centre, points, rtol=0, atol=1e-5)
+
+
+def test_a_multi_line_string_of_one_line_is_that_line_and_what_has_no_geometry_is_left_out(read):
+    (usual,) = read(feature(ellipse()))
+    (one,) = read(collection(feature([ellipse()], "MultiLineString"), {"type": "Feature", "geometry": None}))
+    np.testing.assert_array_equal(one.centreline, usual.centreline)
+
+
+def test_a_circuit_goes_by_a_number_or_by_the_id_beside_its_properties_too(read):
+    many = collection(feature(ellipse(), id=2), feature(ellipse(), id=1), {**feature(ellipse()), "id": "way/7"})
+    assert [track.name for track in read(many)] == [f"own.geojson/{name}" for name in ("2", "1", "way/7")]
+
+
+@pytest.mark.parametrize("origin", ["a survey", [0, 40], 3])
+def test_an_origin_that_another_tool_wrote_moves_nothing(read, origin: object):
+    (usual,), (other,) = read(feature(ellipse())), read(feature(ellipse(), origin=origin))
+    np.testing.assert_array_equal(other.centreline, usual.centreline)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +173,11 @@ def test_what_was_written_is_read_with_its_widths_at_the_same_place(tmp_path: Pa
         (feature([[0, 0], [10, 0], [0, 10], [0, 0]]), "its points are more than 100 km from their middle"),
         (feature(ellipse()[:40]), "the line ends 365 m from where it begins; draw it all the way round"),
         (feature(ellipse(), width_left=[1], width_right=[1]), "width_left must be a list of a positive number"),
-        (feature(ellipse(), origin=3), "origin is 3; it must be [longitude, latitude]"),
+        (feature(ellipse(), width_left=[3.0] * 61), "it has one of width_left and width_right; give both, or none"),
+        (
+            feature(ellipse(), origin=3, width_left=[3.0] * 61, width_right=[3.0] * 61),
+            "origin is 3; it must be [longitude, latitude]",
+        ),
     ],
 )
 def test_what_is_no_road_is_refused_with_the_reason(read, values: object, says: str):

@@ -54,6 +54,30 @@ def test_a_folder_of_the_library_that_is_not_there_is_named(folders, monkeypatch
         Track.load("Ring")
 
 
+def test_a_name_that_no_file_of_the_library_has_is_said_to_have_been_looked_up(folders):
+    with pytest.raises(TrackError, match=r"none in the folders of CARRL_TRACKS has this name; see carrl track list$"):
+        Track.load("Ghost")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("Map.png", r"this is a picture; name the YAML file beside it that makes it a map$"),
+        (
+            "laps.npz",
+            r"this is not a CSV text file; as its name ends in none of \.csv, .*\.geojson, it was read as CSV$",
+        ),
+        ("laps.json", r"name it \.geojson, \.xml or \.xodr; as its name ends in none of"),
+    ],
+)
+def test_a_file_of_no_known_ending_is_told_which_there_are(folders, name, says):
+    path = folders / "other" / name
+    if not path.exists():
+        path.write_bytes(b"{" if name.endswith("json") else b"\xff\xfe")
+    with pytest.raises(TrackError, match=f"^track '{name}': .*{says}"):
+        Track.load(path)
+
+
 def test_what_belongs_to_a_track_is_no_circuit_of_its_own(folders):
     assert (folders / "other" / "Map_centerline.csv").is_file()
     found = load_folder(folders / "other")

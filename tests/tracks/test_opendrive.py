@@ -88,6 +88,38 @@ def test_widths_and_offsets_are_polynomials_from_where_they_begin(read):
     assert across[30:].max().item() == pytest.approx(4, abs=1e-3)
 
 
+def test_a_polynomial_is_not_in_force_before_it_begins(read):
+    offset = '<laneOffset s="300" a="0" b="0.005" c="0" d="0"/>'
+    begun = '<laneOffset s="0" a="0" b="0" c="0" d="0"/>' + offset
+    section = f'<laneSection s="0">{RIGHT}</laneSection>'
+    late, whole = read(road(*STADIUM, lanes=offset + section)), read(road(*STADIUM, lanes=begun + section))
+    np.testing.assert_array_equal(late[0].centreline, whole[0].centreline)
+    with pytest.raises(TrackError, match="its lanes have no width somewhere"):
+        read(road(*STADIUM, lanes=RIGHT.replace('sOffset="0"', 'sOffset="300"').replace('b="0"', 'b="0.01"')))
+
+
+def test_sections_and_geometries_are_taken_in_the_order_of_their_s(read):
+    wide = RIGHT.replace('a="4"', 'a="7"')
+    sections = [f'<laneSection s="0">{RIGHT}</laneSection>', f'<laneSection s="150">{wide}</laneSection>']
+    usual, swapped = (read(road(*STADIUM, lanes="".join(each)))[0] for each in (sections, sections[::-1]))
+    assert inspect_track(usual).width_max == pytest.approx(7, abs=0.01)
+    np.testing.assert_array_equal(swapped.left_wall, usual.left_wall)
+    other = "".join(geometry(*STADIUM[at]).replace('s="0"', f's="{at}"') for at in (2, 3, 0, 1))
+    (moved,) = read(road(*STADIUM).replace("".join(geometry(*each) for each in STADIUM), other))
+    np.testing.assert_array_equal(moved.centreline, read(road(*STADIUM))[0].centreline)
+
+
+def test_a_note_of_another_tool_before_a_shape_is_none(read):
+    (noted,) = read(road(*STADIUM).replace(LINE, '<userData code="x"/><line/>'))
+    assert noted.length == read(road(*STADIUM))[0].length
+
+
+def test_lanes_that_are_told_of_one_side_alone_are_refused_and_do_not_take_those_of_the_other(read):
+    single = f'<laneSection s="100" singleSide="true">{LEFT}</laneSection>'
+    with pytest.raises(TrackError, match="a laneSection has lanes of a singleSide; write those of both sides in each"):
+        read(road(*STADIUM, lanes=f'<laneSection s="0">{LEFT}{RIGHT}</laneSection>{single}'))
+
+
 def test_a_ring_of_roads_may_be_linked_end_to_end_in_any_direction(read):
     first, second, third, fourth = STADIUM
     turned = (0, 100, 0, 100, LINE)  # the third, drawn the other way

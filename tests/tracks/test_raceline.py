@@ -98,3 +98,44 @@ def test_four_columns_without_a_header_are_said_to_be_read_as_such(tmp_path):
     (tmp_path / "bare.csv").write_text("\n".join(f"{x},{y},4,3" for x, y in CIRCLE.tolist()))
     note = "four columns without a header, read as x_m, y_m, w_tr_right_m, w_tr_left_m"
     assert Track.load(tmp_path / "bare.csv").notes == (note,)
+
+
+OTHER_NAMES = (
+    "x_cm,y_cm,w_tr_right_cm,w_tr_left_cm",
+    "x [ft],y [ft],right [ft],left [ft]",
+    "xl,yl,xr,yr",
+    "s,psi,kappa,v",
+)
+
+
+@pytest.mark.parametrize("header", [*OTHER_NAMES, *(f"# {names}" for names in OTHER_NAMES)])
+def test_columns_of_other_names_or_units_are_not_taken_for_those_of_a_road(tmp_path, header):
+    path = tmp_path / "other.csv"
+    path.write_text(f"# by some tool of four words\n{header}\n" + "\n".join(f"{x},{y},4,3" for x, y in CIRCLE))
+    with pytest.raises(TrackError, match=r"the header in line 2 has no column x_m, y_m, w_tr_right_m, w_tr_left_m; "):
+        Track.load(path)
+
+
+def test_a_line_of_longitudes_and_latitudes_is_no_line_in_metres(tmp_path):
+    path = tmp_path / "degrees.csv"
+    path.write_text("lon,lat\n" + "\n".join(f"{x},{y}" for x, y in CIRCLE))
+    with pytest.raises(TrackError, match="the header in line 1 has no column x_m"):
+        Track.load(path, width=8)
+
+
+@pytest.mark.parametrize("comment", ["# my own race track", "# made by hand", "Title"])
+def test_words_above_four_columns_are_no_header(tmp_path, comment):
+    path = tmp_path / "plain.csv"
+    rows = "\n".join(f"{x},{y},4,3" for x, y in CIRCLE)
+    path.write_text(f"{comment}\n{rows}\n# by me, by hand, in May, at home")
+    assert Track.load(path).notes == ("four columns without a header, read as x_m, y_m, w_tr_right_m, w_tr_left_m",)
+
+
+def test_a_width_does_not_replace_those_of_a_file_that_are_bad_or_of_one_side(tmp_path):
+    path = tmp_path / "road.csv"
+    path.write_text("x_m,y_m,w_tr_right_m,w_tr_left_m\n" + "\n".join(f"{x},{y},4,{y}" for x, y in CIRCLE))
+    with pytest.raises(TrackError, match=r"line 2: w_tr_left_m is 0\.0 m; widths must be positive$"):
+        Track.load(path, width=8)
+    path.write_text("x_m,y_m,w_tr_right_m\n" + "\n".join(f"{x},{y},4" for x, y in CIRCLE))
+    with pytest.raises(TrackError, match=r"has no column w_tr_left_m; .*'$"):
+        Track.load(path, width=8)

@@ -100,6 +100,44 @@ def test_pictures_of_all_kinds_are_read_alike(tmp_path, kind):
     assert Track.load(tmp_path / "map.yaml").length == pytest.approx(usual.length, rel=1e-6)
 
 
+@pytest.mark.parametrize("transparent", ["L", "P"])
+def test_a_colour_that_means_transparent_is_not_free(tmp_path, transparent):
+    usual = Track.load(write_map(tmp_path, ring()))
+    shades = np.where(ring() > 0, 250, 251).astype(np.uint8)
+    image = Image.fromarray(shades[::-1])
+    if transparent == "P":
+        image.putpalette([255] * 768)
+    image.save(tmp_path / "map.png", transparency=251)
+    assert Track.load(tmp_path / "map.yaml").length == pytest.approx(usual.length, rel=1e-6)
+
+
+def test_yellow_lines_on_white_are_walls_as_they_are_to_a_map_server(tmp_path):
+    away = distances(160, 160, (80, 80))
+    lines = ((away > 36) & (away < 40)) | ((away > 70) & (away < 74))
+    picture = np.where(lines[:, :, None], (255, 255, 0), (255, 255, 255)).astype(np.uint8)
+    assert radii(Track.load(write_map(tmp_path, picture)).left_wall, 4.0) == pytest.approx(2.0, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("image:", "\ufeffimage:"),
+        ("image", '"image"'),
+        ("resolution:", "resolution :"),
+        ("0.05", "5e-2"),
+        ("[0, 0, 0]", "[0.0e0, 0, -5e-17]"),
+        ("negate: 0", "negate: 0\nmode: Trinary"),
+    ],
+)
+def test_a_map_may_be_written_in_other_ways_of_yaml(tmp_path, old, new):
+    path = write_map(tmp_path, ring())
+    usual, text = Track.load(path), path.read_text()
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    assert Track.load(path).length == pytest.approx(usual.length, rel=1e-6)
+    path.write_text("{" + text.strip().replace("\n", ", ") + "}")
+    assert Track.load(path).length == usual.length
+
+
 # Start and direction
 
 

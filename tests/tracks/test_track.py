@@ -297,7 +297,7 @@ def test_a_centreline_file_loads_however_it_is_written(load_text, content: str):
         ),
         (
             "# a circuit\n" + SQUARE.replace("3\n", "3,1\n"),
-            "the header in line 1 has no column x_m, y_m, .* has a, circuit",
+            "the header in line 1 has no column x_m, y_m, .* has a circuit,",
         ),
         (
             "# s_m; x_m; y_m; psi_rad\n0;0;0;0\n",

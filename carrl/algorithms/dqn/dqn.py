@@ -98,10 +98,10 @@ class DQN(Algorithm):
 
     def update(self, batch: TensorDictBase) -> UpdateResult:
         """Calls TorchRL's loss and torch's optimizer as they are, for one replicate after the other."""
-        losses, td_errors = [], []
+        losses, td_errors, weighted = [], [], "priority_weight" in batch
         for index, replicate in enumerate(self.replicates):
             transitions = batch[:, index]
-            if "priority_weight" in transitions:  # contiguous, so that they are summed as one replicate's alone
+            if weighted:  # contiguous, so that they are summed as one replicate's alone
                 transitions["priority_weight"] = transitions["priority_weight"].contiguous()
             loss = replicate.loss(transitions)["loss"]
             replicate.optimizer.zero_grad()
@@ -112,7 +112,7 @@ class DQN(Algorithm):
             replicate.target_updater.follow()
             losses.append(loss.detach())
             td_errors.append(transitions["td_error"][:, 0])
-        return UpdateResult(torch.stack(losses), torch.stack(td_errors, dim=1))
+        return UpdateResult(torch.stack(losses), torch.stack(td_errors, dim=1) if weighted else None)
 
     def functional(self) -> list[FunctionalUpdate]:
         """The same loss, differentiated by torch.func, and the same Adam, clipping and soft update."""
