@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from carrl.sim.machine_code import apart, as_array, compiled, inlined
-from carrl.sim.vehicle import Disc, Rectangle
+from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
 
 _GAP = 0.02
 """How far from the wall a car is put, m; more than float32 rounds by on any circuit."""
@@ -45,6 +45,12 @@ def slide(before: Tensor, after: Tensor, walls: Tensor, body: Disc | Rectangle) 
     near = as_array(walls.cpu().flatten(-2), torch.float64)
     pose, direction = _slide(*states, near, (radius, half_length, half_width))
     return torch.from_numpy(pose).to(after.device), torch.from_numpy(direction).to(after.device)
+
+
+def compile_slide(vehicle: VehicleModel) -> None:
+    """Compiles at once, unless that was done before, so that no step takes longer than the others."""
+    nothing = torch.zeros(0, len(vehicle.state_names))
+    slide(nothing, nothing, torch.zeros(0, 1, 2, 2, dtype=torch.float64), vehicle.body)
 
 
 @compiled

@@ -166,9 +166,11 @@ def _follow(
         deck = _deck(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, deck)
         # What is no number fails every comparison: such a car would drive on for ever.
-        hit = not math.isfinite(x + y) or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
-        if is_rectangle and not hit:
-            hit = _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        hit = not math.isfinite(x + y)
+        if is_rectangle:
+            hit = hit or _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        else:
+            hit = hit or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
@@ -241,8 +243,16 @@ def _rectangle_touches(
     """Whether the rectangle touches a wall of these entries on its straight way: see `geometry.rectangle_touches`."""
     cos, sin = math.cos(heading), math.sin(heading)
     way = cos * path_x + sin * path_y, cos * path_y - sin * path_x  # in the frame of the rectangle
+    reach_x = abs(cos) * world.half_length + abs(sin) * world.half_width
+    reach_y = abs(sin) * world.half_length + abs(cos) * world.half_width
+    low_x, high_x = begin_x + min(path_x, 0.0) - reach_x, begin_x + max(path_x, 0.0) + reach_x
+    low_y, high_y = begin_y + min(path_y, 0.0) - reach_y, begin_y + max(path_y, 0.0) + reach_y
     for entry in range(begin, end):
         first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
+        if max(first_x, last_x) <= low_x or min(first_x, last_x) >= high_x:
+            continue  # as most walls are
+        if max(first_y, last_y) <= low_y or min(first_y, last_y) >= high_y:
+            continue
         first_x, first_y, last_x, last_y = first_x - begin_x, first_y - begin_y, last_x - begin_x, last_y - begin_y
         first = cos * first_x + sin * first_y, cos * first_y - sin * first_x
         last = cos * last_x + sin * last_y, cos * last_y - sin * last_x

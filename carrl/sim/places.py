@@ -91,6 +91,9 @@ class Places:
         self._gate_gaps = self._roads.lengths / np.array(gate_counts)
         widest = np.maximum.reduceat(self._roads.room[:, [0, 2]].sum(axis=1), first[:-1])
         self._reach = 2 * step_length + widest  # a corner's sides are no further apart for a car between the walls
+        none, nothing = torch.zeros(0, dtype=torch.int64), torch.zeros(0)
+        self.after(torch.zeros(0, 3), none, nothing)  # compiles at once, so that no step takes longer than the others
+        self.curvatures(none, nothing, nothing, nothing, 1)
 
     def on_the_way(self, pose: Tensor, track: Tensor, next_gate: Tensor) -> Place:
         """The places of cars [B, S] that are between the gate [B] that counts next and the one before it."""

@@ -160,6 +160,10 @@ class Simulator:
         self._most_walls = geometry.longest_list
         self._most_gates_per_step = max(most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
+        if slide is not None:
+            from carrl.sim.contact import compile_slide  # Here, since Numba takes half a second to import.
+
+            compile_slide(vehicle)
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle, with the machine code to be loaded again.
@@ -271,24 +275,19 @@ class Simulator:
 
     def _slid(self, cars: CarState, outcome: Outcome, kept: float) -> Outcome:
         """The outcome with those cars outside of the walls that touched one."""
-        if not outcome.collided.any():
-            return outcome
-        from carrl.sim.contact import slide  # Here, since Numba takes half a second to import.
-
         touched = outcome.collided
+        if not touched.any():
+            return outcome
+        from carrl.sim.contact import slide
+
         before, after = cars[touched], outcome.cars[touched]
         pose, direction = slide(before.state, after.state, self._walls_near(after), self.vehicle.body)
-        state = self.vehicle.after_contact(after.state, pose, direction, kept)
+        state = torch.where(after.state.isfinite(), after.state, before.state)  # what is no number would stay so
+        state = self.vehicle.after_contact(state, pose, direction, kept)
         passed = self._count_gates(before.pose[:, :2].double(), pose[:, :2].double(), before)
         next_gate = (before.next_gate + passed) % self.gate_counts[before.track]
         after = CarState(state, next_gate, before.gates_passed + passed, before.track)
-        there = touched.nonzero()[:, 0]
-        return Outcome(
-            outcome.cars.replacing(touched, after),
-            outcome.ranges.index_copy(0, there, self.sense(after)),
-            touched,
-            outcome.gates_passed.index_copy(0, there, passed),
-        )
+        return outcome.replacing(touched, Outcome(after, self.sense(after), touched[touched], passed))
 
     def place(self, cars: CarState) -> Place:
         """Where on the road the cars are, near their last stations; without those, on the way to their next gates."""
