@@ -92,9 +92,9 @@ class NStepReturns:
         if pending is None:
             self._pending = None
             return
-        if not isinstance(pending, dict) or "action" not in pending:
-            raise ValueError("the pending steps have no actions")
-        extents = pending["action"].shape
+        if not isinstance(pending, dict) or "observation" not in pending:
+            raise ValueError("the pending steps have no observations")
+        extents = pending["observation"].shape[:-1]
         if len(extents) != 3 or extents[0] >= self._steps:
             raise ValueError(
                 f"{list(extents)} time steps, cars and replicates are pending in returns of {self._steps} steps"

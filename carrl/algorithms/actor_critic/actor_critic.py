@@ -86,9 +86,7 @@ class ActorCriticAlgorithm(Algorithm):
         """Updates one replicate after the other."""
         losses, td_errors = [], []
         for index, replicate in enumerate(self.replicates):
-            transitions = batch[:, index]
-            if "priority_weight" in transitions:  # contiguous, so that they are summed as one replicate's alone
-                transitions["priority_weight"] = transitions["priority_weight"].contiguous()
+            transitions = batch[:, index].contiguous()  # so that they are summed as one replicate's alone
             loss, td_error = replicate.update(transitions, self._noise_of(index), self._with_actor)
             losses.append(loss)
             td_errors.append(td_error)

@@ -54,7 +54,10 @@ class StackedLayers(nn.Module):
         for name, layer in self.layers.named_children():
             if isinstance(layer, nn.Linear):
                 weight, bias = self._stacked[f"{name}.weight"], self._stacked[f"{name}.bias"]
-                values = torch.baddbmm(bias[:, None], values, weight.mT)
+                if weight.shape[1] > 1:
+                    values = torch.baddbmm(bias[:, None], values, weight.mT)
+                else:  # of which torch 2.13's baddbmm rounds one replicate's otherwise than several's
+                    values = torch.stack([nn.functional.linear(*own) for own in zip(values, weight, bias, strict=True)])
             else:
                 values = layer(values)
         return values
