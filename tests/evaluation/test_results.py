@@ -52,7 +52,7 @@ def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
     trial = EvaluationResult((lap, crash, lap))
     assert not trial.lap_completed
     measures = trial.measures()
-    assert (measures["circuits"], measures["laps_completed"]) == (3, 2)
+    assert (measures["drives"], measures["laps_completed"]) == (3, 2)
     assert (measures["lap_completed"], measures["collided"]) == (False, True)
     assert measures["progress"] == pytest.approx(2.5 / 3)
     assert trial.shown == 1
