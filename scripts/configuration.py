@@ -32,9 +32,10 @@ $ carrl train -m experiment=fast loss=dqn,double_dqn,dueling,distributional
 $ carrl train -m experiment=fast returns.steps=1,3 replay_buffer=uniform,prioritized trainer.seeds=[0..9]
 ```
 
-The reward and the observation are sums and rows of terms, each with keys of its own; a term set to `null` is left out:
-`reward.gate.weight=20`, `reward.proximity=null`, `observation=rays_and_last_action`. `carrl.task.reward` and
-`carrl.task.observation` have the terms, `carrl.task.action` what a car can choose among.
+The reward, the observation and the end of an episode are sums, rows and sets of terms, each with keys of its own; a term set
+to `null` is left out: `reward.gate.weight=20`, `reward.proximity=null`, `observation=rays_and_last_action`. `carrl.task` has the
+terms: rewards in `reward` and `racing`, observations in `observation`, `motion` and `road`, ends in `end`, and in `action` what a
+car can choose among.
 
 A `_target_` that you type, or that stands in your own files, may be any class or function that can be imported;
 [examples/own_parts](../examples/own_parts) has a vehicle, an observation, a reward, a network, a loss and a track format.

@@ -10,10 +10,17 @@ from tests.configs import compose
 LEAVES = sorted(
     str(path.relative_to(config_dir()).with_suffix(""))
     for path in config_dir().rglob("*.yaml")
-    if path.parent != config_dir() and path.stem != "file"
+    if path.parent != config_dir() and path.stem not in ("file", "continuous")
 )
 
+DRIVEN = ["vehicle=kinematic", "action=table"]
+"""A car with a speed of its own, for parts that look at it."""
 BESIDE = {
+    "action/table": DRIVEN,
+    "vehicle/kinematic": DRIVEN,
+    "vehicle/single_track": DRIVEN,
+    **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "racer", "torcs")},
+    **{f"reward/{name}": DRIVEN for name in ("progress", "gran_turismo", "racing", "torcs", "torcs_centred")},
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/generalist": ["track.count=4", "track.validation=2"],  # of hundreds, which take seconds to draw
@@ -28,6 +35,11 @@ def test_every_option_of_every_group_builds(leaf):
     pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
     assert len(pipeline.algorithm.seeds) >= 1
     pipeline.source.close()
+
+
+def test_numbers_as_actions_are_refused_by_dqn_in_one_sentence():
+    with pytest.raises(ConfigError, match="the network has a value for each action; set an action of discrete choices"):
+        build_pipeline(compose("action=continuous"))
 
 
 def test_a_track_file_is_an_option_of_the_track_group(real_circuits):
@@ -72,7 +84,7 @@ def test_double_dqn_differs_from_dqn_by_the_loss_alone():
     [
         (
             {"max_rang": 3.0},
-            "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout",
+            "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout, mount",
         ),
         ({"rays": "many"}, "sensor.rays is 'many'; it must be of type int"),
         ({"rays": 7.0}, "sensor.rays is 7.0; it must be of type int; write 7"),

@@ -4,14 +4,17 @@ import argparse
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
+from carrl.cli.driver import driver_of
 from carrl.cli.parser import Parser, add_trust
+from carrl.config import build_node
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.errors import ConfigError
 from carrl.train.build import build_world
+from carrl.train.composition import composed
 from carrl.train.files import load_config
 
 if TYPE_CHECKING:
@@ -20,16 +23,18 @@ if TYPE_CHECKING:
 SIZE = (960, 720)
 """Of the window, px."""
 HELP = (
-    "drive",
-    "left, A\tturn left",
-    "right, D\tturn right",
-    "no key\tstraight on",
     "R\tback to the start",
     "P, space\tpause",
     "H\tthis help",
     "Esc, Q\tquit",
-    "steer, or press the up arrow, to start",
 )
+"""What the other keys do."""
+
+
+SEEN = 50.0
+"""How far a car of another kind than the paper's sees, m: a picture shows a little more."""
+BY_HAND = {"_target_": "carrl.task.action.ContinuousActions"}
+"""The actions of a person who drives a car with pedals."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class Game:
         fps: time steps a second.
 
     Raises:
-        ConfigError: there is no display, or no pygame, or the car has other actions than forward, left and right.
+        ConfigError: there is no display, or no pygame, or a person cannot drive the car.
     """
 
     def __init__(self, env: GymTrackEnv, fps: float) -> None:
@@ -75,9 +80,7 @@ class Game:
         self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}")
         self._env, self._fps = env, fps
         self._attempts: list[Attempt] = []
-        self._held: list[int] = []
-        self._tapped: int | None = None
-        self._straight_on, self._left, self._right = (_action_named(env, name) for name in ("forward", "left", "right"))
+        self._driver = driver_of(env.task.action, env.task.simulator.vehicle.time_step)
         self._runs, self._shows_help, self._paused = True, True, False
         env.reset()
 
@@ -90,7 +93,7 @@ class Game:
             for event in pygame.event.get():
                 self._take(event)
             if self._runs and not (self._shows_help or self._paused or self._env.snapshot().collided):
-                self._env.step(self._next_action())
+                self._env.step(self._driver.next_action())
         self._note_attempt()
         self._window.close()
         return self._attempts
@@ -99,21 +102,10 @@ class Game:
         """Does what a key asks for."""
         import pygame
 
-        steering = {
-            pygame.K_UP: self._straight_on,
-            pygame.K_LEFT: self._left,
-            pygame.K_a: self._left,
-            pygame.K_RIGHT: self._right,
-            pygame.K_d: self._right,
-        }
         if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key in (pygame.K_ESCAPE, pygame.K_q)):
             self._runs = False
-        elif event.type == pygame.KEYUP and event.key in steering:
-            self._held = [action for action in self._held if action != steering[event.key]]
-        elif event.type == pygame.KEYDOWN and event.key in steering:
+        elif self._driver.take(event):
             self._shows_help = self._paused = False
-            self._tapped = steering[event.key]
-            self._held.append(self._tapped)
         elif event.type == pygame.KEYDOWN and event.key == pygame.K_h:
             self._shows_help = not self._shows_help
         elif event.type == pygame.KEYDOWN and event.key in (pygame.K_p, pygame.K_SPACE):
@@ -123,16 +115,10 @@ class Game:
             self._env.reset()
             self._shows_help = self._paused = False
 
-    def _next_action(self) -> Any:
-        """The key pressed last of those still held; a key that was only tapped counts for one step."""
-        action = self._held[-1] if self._held else self._tapped
-        self._tapped = None
-        return self._straight_on if action is None else action
-
     def _message(self) -> tuple[str, ...]:
         """What stands across the picture."""
         if self._shows_help:
-            return HELP
+            return ("drive", *self._driver.help, *HELP, "steer, or press the up arrow, to start")
         if self._env.snapshot().collided:
             return ("hit a wall", "R\tback to the start", "Esc\tquit")
         return ("pause", "P\tgo on", "H\thelp") if self._paused else ()
@@ -142,15 +128,6 @@ class Game:
         if scene.step:
             laps = scene.gates_passed // gates
             self._attempts.append(Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided))
-
-
-def _action_named(env: GymTrackEnv, name: str) -> int:
-    names = list(getattr(env.task.action, "names", ()))
-    if name not in names:
-        raise ConfigError(
-            f"the run's car has no action '{name}' ({', '.join(names) or 'it is continuous'}); drive another"
-        )
-    return names.index(name)
 
 
 def main(argv: list[str]) -> int:
@@ -168,20 +145,29 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(prog="carrl drive", description="Drive a track yourself; H shows the keys.")
+    parser = Parser(prog="carrl drive", description="Drive a track yourself, by keyboard or gamepad; H shows the keys.")
     parser.add_argument("--track", metavar="NAME|FILE", help="default: the run's, or without a run paper")
-    parser.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
+    car = parser.add_mutually_exclusive_group()
+    car.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
+    car.add_argument("--vehicle", metavar="NAME", help="another car than the paper's, such as kinematic")
     parser.add_argument("--fps", type=float, metavar="F", help="time steps a second; default: real time")
     add_trust(parser)
     return parser
 
 
 def _make_env(arguments: argparse.Namespace) -> GymTrackEnv:
-    if arguments.run is None:
-        if arguments.trust:
-            raise ConfigError("--trust has no effect without --run; add that, or leave it out")
+    if arguments.run is None and arguments.trust:
+        raise ConfigError("--trust has no effect without --run; add that, or leave it out")
+    if arguments.run is None and arguments.vehicle is None:
         return GymTrackEnv(arguments.track or "paper", render_mode="rgb_array")
-    world = build_world(load_config(Path(arguments.run), arguments.trust))
+    if arguments.run is None:
+        config = composed([f"vehicle={arguments.vehicle}", f"sensor.max_range={SEEN}"])
+    else:
+        config = load_config(Path(arguments.run), arguments.trust)
+    vehicle = build_node("vehicle", config["vehicle"])
+    if vehicle.control_names != ("steer",):  # a person has pedals, whatever the run's actions are
+        config = config | {"action": BY_HAND}
+    world = build_world(config)
     return GymTrackEnv(
         arguments.track or world.track,
         render_mode="rgb_array",

@@ -260,8 +260,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         """What the rays read, [R], in 0..1; the true distances where the driver is not told them."""
         begin = 0
         for part in self.task.observation_parts:
-            if part.name == "rays":
-                return now.observation.double().numpy()[0, begin : begin + part.width]
+            if part.name in ("rays", "scans"):
+                return now.observation.double().numpy()[0, begin : begin + self.task.simulator.sensor.rays]
             begin += part.width
         ranges = self.task.simulator.sense(now.state.cars)
         return ranges.double().numpy()[0] / self.task.simulator.sensor.max_range
@@ -280,7 +280,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     def _action_name(self, action: torch.Tensor) -> str:
         if self.task.action.names:
             return self.task.action.names[int(action)]
-        return " ".join(f"{value:+.2f}" for value in action[0].tolist())
+        digits = 2 if action.shape[-1] == 1 else 1
+        return " ".join(f"{value:+.{digits}f}" for value in action[0].tolist())
 
     def _info(self, now: EpisodeStart, terms: list[float]) -> dict[str, Any]:
         cars = now.state.cars

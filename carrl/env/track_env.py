@@ -270,11 +270,8 @@ class TrackEnv(EnvBase):
         if "stalled" in task.carried:
             state["stalled"] = count.clone()
         low, high = task.observation_bounds
-        is_bounded = bool((low.isfinite() & high.isfinite()).all())
         self.observation_spec = Composite(
-            observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32)
-            if is_bounded
-            else numbers(len(low)),
+            observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
             reward_terms=numbers(len(task.reward.term_names)),
             **{"pose": numbers(3), **state},
             shape=(cars,),

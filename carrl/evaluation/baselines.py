@@ -19,9 +19,9 @@ from carrl.task.episode import ObservationContext
 from carrl.task.observation import Observation, Part, Rays, rays_only
 from carrl.task.task import World
 
-BRAKING = 4.0
+BRAKING = 3.0
 """With so much, m/s2, the rule can stop before the wall that it sees ahead."""
-GAIN, PACE_GAIN, CALM = 1.5, 0.5, 20.0
+GAIN, PACE_GAIN, CALM = 1.0, 0.5, 20.0
 """Of the wheel, for the difference between left and right as a share of all that is seen, the less the faster it is
 than the last of these, m/s; of the pedals, for a m/s."""
 
@@ -42,7 +42,7 @@ def rule_of(world: World) -> tuple[World, Policy]:
     vehicle = world.vehicle
     if vehicle.control_names == ("steer",):
         return replace(world, observation=rays_only(), action=steer3()), rule_policy
-    known = ("steer", *_PEDALS)
+    known = ("steer", *_PEDALS, "speed")
     if "speed" not in vehicle.state_names or not set(vehicle.control_names) <= set(known):
         raise ConfigError(
             f"the rule drives cars with steer, or with a speed and some of {', '.join(known)}; "
@@ -50,7 +50,10 @@ def rule_of(world: World) -> tuple[World, Policy]:
         )
     sees = Observation({"rays": Rays(), "speed": _Speed(vehicle.state_names.index("speed"))})
     action = ContinuousActions(vehicle.control_names)
-    return replace(world, observation=sees, action=action), _PedalRule(world.sensor.max_range, vehicle.control_names)
+    top_speed = vehicle.step_length / vehicle.time_step
+    return replace(world, observation=sees, action=action), _PedalRule(
+        world.sensor.max_range, vehicle.control_names, top_speed
+    )
 
 
 def rule_policy(readings: Tensor) -> Tensor:
@@ -96,20 +99,24 @@ class _PedalRule:
 
     Attributes:
         sensor_range: m.
-        control_names: of the car.
+        control_names: of the car; `speed` is a share of its top speed.
+        top_speed: m/s.
     """
 
     sensor_range: float
     control_names: tuple[str, ...]
+    top_speed: float
 
     def __call__(self, observation: Tensor) -> Tensor:
         """The controls [B, C], of the rays' readings and the speed, [B, R + 1]."""
         readings, speed = observation[:, :-1], observation[:, -1]
         steer = GAIN * _to_left(readings) / readings.sum(-1).clamp(min=1e-6) * (CALM / speed.clamp(min=CALM))
         ahead = readings[:, readings.shape[1] // 2] * self.sensor_range
-        push = (PACE_GAIN * ((2 * BRAKING * ahead).sqrt() - speed)).clamp(-1, 1)
-        steer = steer.clamp(-1, 1)
-        return torch.stack([steer if name == "steer" else _PEDALS[name](push) for name in self.control_names], dim=-1)
+        wanted = (2 * BRAKING * ahead).sqrt()
+        push = (PACE_GAIN * (wanted - speed)).clamp(-1, 1)
+        controls = {name: pressed(push) for name, pressed in _PEDALS.items()}
+        controls |= {"steer": steer.clamp(-1, 1), "speed": (wanted / self.top_speed).clamp(0, 1)}
+        return torch.stack([controls[name] for name in self.control_names], dim=-1)
 
 
 def _to_left(readings: Tensor) -> Tensor:

@@ -146,19 +146,19 @@ class EvaluationResult:
     """Drives of one network.
 
     Attributes:
-        rollouts: one for each circuit, in the order of `Circuits.validation`.
+        rollouts: one for each circuit, in the order of `Circuits.validation`, and each start there.
     """
 
     rollouts: tuple[Rollout, ...]
 
     @property
     def laps_completed(self) -> int:
-        """On how many circuits the lap was completed."""
+        """How many drives completed the lap."""
         return sum(drive.lap_completed for drive in self.rollouts)
 
     @property
     def lap_completed(self) -> bool:
-        """Whether it was on every one."""
+        """Whether every one did."""
         return self.laps_completed == len(self.rollouts)
 
     @property
@@ -195,7 +195,7 @@ class EvaluationResult:
             **{name: round(means[name]) for name in ("lap_steps", "reversals") if name in means},
             "lap_completed": self.lap_completed,
             "collided": any(drive.collided for drive in self.rollouts),
-            "circuits": len(self.rollouts),
+            "drives": len(self.rollouts),
             "laps_completed": self.laps_completed,
         }
 

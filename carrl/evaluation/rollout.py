@@ -25,8 +25,9 @@ Policy = Callable[[Tensor], Tensor]
 
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
-SLOW = 0.2
-"""Of its top speed: with so much of it a car whose speed varies has to drive these laps, corners and all."""
+SLOWEST, PATIENCE_S = 10.0, 10.0
+"""Cars whose speed varies may take so many times the steps that they take at full speed; but one that does not come to
+its next gate by then, and these seconds, in which it can start from rest, stands still and is stopped."""
 
 MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
@@ -122,12 +123,12 @@ def rollout(
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
     task = world.evaluation_task(simulator, len(stations))
     cars = simulator.start(stations, track)
-    limits = _time_limits(simulator, cars)
+    limits, patience = _time_limits(simulator, cars), _patience(simulator, cars)
     _check_limits(limits, simulator)
     now = task.start_at(cars)
     state, observation = now.state, now.observation
     moments = [_first_moment(task, state.last_action, cars)]
-    driving = torch.ones_like(cars.next_gate, dtype=torch.bool)
+    driving, last_gate = torch.ones_like(cars.next_gate, dtype=torch.bool), torch.zeros_like(cars.next_gate)
     for step in range(1, int(limits.max()) + 1):
         action = policy(observation)
         after = task.step(state, action)
@@ -136,6 +137,8 @@ def rollout(
         near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(outcome.ranges))
         ended = outcome.collided | after.terminated
         moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
+        last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
+        limits = torch.where(driving & (step - last_gate >= patience), step, limits)
         driving &= ~(ended | simulator.has_lapped(outcome.cars)) & (step < limits)
         if not driving.any():
             break
@@ -151,9 +154,21 @@ def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
 def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps after which each car is stopped, [B], int64."""
     lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
-    if "speed" in simulator.vehicle.state_names:
-        lap_steps = lap_steps / SLOW
-    return (TIME_LIMIT_LAPS * lap_steps).round().long().to(cars.track.device)[cars.track]
+    laps = SLOWEST if _has_speed(simulator) else TIME_LIMIT_LAPS
+    return (laps * lap_steps).round().long().to(cars.track.device)[cars.track]
+
+
+def _patience(simulator: Simulator, cars: CarState) -> Tensor:
+    """Steps without a gate after which each car is stopped, [B], int64."""
+    vehicle = simulator.vehicle
+    if not _has_speed(simulator):
+        return torch.full_like(cars.track, MOST_STEPS)
+    gap_steps = simulator.routes.lengths / simulator.gate_counts.cpu() / vehicle.step_length
+    return (SLOWEST * gap_steps + PATIENCE_S / vehicle.time_step).ceil().long().to(cars.track.device)[cars.track]
+
+
+def _has_speed(simulator: Simulator) -> bool:
+    return "speed" in simulator.vehicle.state_names
 
 
 def _check_limits(limits: Tensor, simulator: Simulator) -> None:

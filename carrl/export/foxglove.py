@@ -182,6 +182,8 @@ def _drawings(scene: EpisodeScene) -> Iterator[_Message]:
         yield _Message.of(time_ns, "/tf", _transform(time_ns, *place))
         in_world = fg.PoseInFrame(timestamp=_stamp(time_ns), frame_id=WORLD_FRAME, pose=_pose(*place))
         yield _Message.of(time_ns, "/car/pose", in_world)
+        if not scan:
+            continue
         yield _Message.of(time_ns, "/car/scan", _scan(time_ns, scan, trace.scene))
         yield _Message.of(time_ns, "/car/rays", _entity(time_ns, CAR_FRAME, "rays", [_lines(ray, [DARK.ray], 1.5)]))
 

@@ -214,7 +214,7 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
         legend = rrb.PlotLegend(visible=1 < len(series.entries) <= MOST_IN_LEGEND)
         name = series.title[:1].upper() + series.title[1:]
         plots.append(rrb.TimeSeriesView(origin=f"/{series.name}", name=name, axis_x=axis, plot_legend=legend))
-        shares.append(3 if len(series.entries) > 1 else 1.5)
+        shares.append(3 if len(series.entries) > 1 else 2.2 if series.name == "speed" else 1.5)
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Vertical(*plots, row_shares=shares), column_shares=[5, 4]),
         rrb.BlueprintPanel(state="collapsed"),

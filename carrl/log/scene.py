@@ -122,6 +122,11 @@ class Scene:
     sensor_mount: float = 0.0
     friction: float | None = None
 
+    @property
+    def tells_of_rays(self) -> bool:
+        """Whether there is anything in an observation that could be their readings."""
+        return any(part.name in ("rays", "scans") for part in self.observation)
+
     def entries(self) -> dict[str, str]:
         """The scene without its tracks, as entries of a log's metadata; values that are no text are JSON."""
         entries = {
@@ -170,15 +175,16 @@ class Scene:
 
     @property
     def rays(self) -> slice:
-        """Where the rays' readings stand in an observation.
+        """Where the rays' readings stand in an observation, the newest of several scans.
 
         Raises:
-            ValueError: there are none, or not one for each ray.
+            ValueError: there is no reading for each ray.
         """
-        begin = 0
+        begin, rays = 0, len(self.sensor_angles)
         for part in self.observation:
-            if part.name == "rays" and part.width == len(self.sensor_angles) > 0:
-                return slice(begin, begin + part.width)
+            scans = part.width / rays if rays else 0
+            if (part.name == "rays" and scans == 1) or (part.name == "scans" and scans >= 1 and scans % 1 == 0):
+                return slice(begin, begin + rays)
             begin += part.width
         parts = ", ".join(f"{part.width} of {part.name}" for part in self.observation)
         raise ValueError(

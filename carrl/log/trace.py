@@ -134,6 +134,8 @@ class EpisodeTrace:
     @cached_property
     def ranges(self) -> Floats:
         """What each ray read before each step and after the last, [T + 1, R], m."""
+        if not len(self.scene.sensor_angles) and not self.scene.tells_of_rays:
+            return np.zeros((len(self) + 1, 0))
         seen = [self.columns["observation"], self.columns["next_observation"][-1:]]
         readings = np.vstack(seen)[:, self.scene.rays].astype(np.float64)
         return np.where(np.isfinite(readings), readings.clip(-_GREATEST, _GREATEST), readings) * self.scene.sensor_range
@@ -183,8 +185,9 @@ def read_scene(log: Log) -> Scene:
 
 
 def with_choices(scene: Scene) -> Scene:
-    """The scene with one name for every action where actions are numbers and none has a name."""
-    return scene if scene.action_names else replace(scene, action_names=("continuous",))
+    """The scene with one name for every action where none has a name, and no rays where observations tell of none."""
+    scene = scene if scene.action_names else replace(scene, action_names=("continuous",))
+    return scene if scene.tells_of_rays else replace(scene, sensor_angles=np.zeros(0))
 
 
 def action_choices(columns: Columns) -> NDArray[np.int64]:
@@ -214,7 +217,7 @@ def read_trace(log: Log, episode: int) -> EpisodeTrace:
 def _check_columns(scene: Scene, columns: Columns) -> None:
     """Raises ValueError where the columns of an episode are others than the scene says, or make no sense."""
     episode = int(columns["episode"][0])
-    if (found := columns["observation"].shape[1]) < scene.rays.stop:
+    if scene.tells_of_rays and (found := columns["observation"].shape[1]) < scene.rays.stop:
         raise ValueError(f"it has {found} readings for {len(scene.sensor_angles)} rays")
     named = columns["action"].dtype.kind == "i"
     for column, names in (("action_value", scene.action_names), ("reward_terms", scene.reward_terms)):

@@ -308,6 +308,9 @@ def _near_walls(trace: EpisodeTrace) -> Iterator[Event]:
     near = trace.reward_terms[:, trace.scene.reward_terms.index("proximity")] < 0
     for row in np.flatnonzero(near & ~np.append(False, near[:-1])):
         ranges = trace.ranges[row + 1]
+        if not len(ranges):
+            yield Event(int(row), "warning", "near a wall")
+            continue
         side = direction(trace.scene.sensor_angles[ranges.argmin()])
         yield Event(int(row), "warning", f"near a wall: {ranges.min():.2f} m {side}")
 

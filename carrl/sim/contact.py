@@ -13,10 +13,12 @@ import torch
 from torch import Tensor
 
 from carrl.sim.machine_code import apart, as_array, compiled, inlined
-from carrl.sim.vehicle import Disc, Rectangle
+from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
 
 _GAP = 0.02
 """How far from the wall a car is put, m; more than float32 rounds by on any circuit."""
+_SQUARE = -0.05
+"""Cosine of an angle that is a little more than a right one: a car that meets a wall so does not turn round."""
 _ROUNDS, _HALVINGS = 8, 24
 _Body = tuple[float, float, float]
 
@@ -24,8 +26,9 @@ _Body = tuple[float, float, float]
 def slide(before: Tensor, after: Tensor, walls: Tensor, body: Disc | Rectangle) -> tuple[Tensor, Tensor]:
     """Where the walls leave cars that have touched one in a step, and which way it leads them on.
 
-    A car is put where it touched first, along that wall and free of all walls; where there is no room for that, with
-    the heading that it has; where there is none for that either, it stays where it was before the step.
+    A car is turned along the wall that it touches first, drives the rest of its way along it, and is free of all walls
+    then; where there is no room for that, it stays where it touched, so turned or as it is; where there is none for
+    that either, where it was before the step.
 
     Args:
         before: states before the step, [K, S], float32, free of walls.
@@ -34,13 +37,20 @@ def slide(before: Tensor, after: Tensor, walls: Tensor, body: Disc | Rectangle) 
         body: that must not touch them.
 
     Returns:
-        The poses, [K, 3], float32, and the direction of the wall that is nearer to the heading, [K], float32, rad.
+        The poses, [K, 3], float32, and the direction along the wall that is nearer to the heading, [K], float32, rad;
+        if neither is, the one in which the wall is drawn, which is the driving direction.
     """
     radius, half_length, half_width = body.measures
     states = (as_array(state.cpu(), torch.float32) for state in (before, after))
     near = as_array(walls.cpu().flatten(-2), torch.float64)
     pose, direction = _slide(*states, near, (radius, half_length, half_width))
     return torch.from_numpy(pose).to(after.device), torch.from_numpy(direction).to(after.device)
+
+
+def compile_slide(vehicle: VehicleModel) -> None:
+    """Compiles at once, unless that was done before, so that no step takes longer than the others."""
+    nothing = torch.zeros(0, len(vehicle.state_names))
+    slide(nothing, nothing, torch.zeros(0, 1, 2, 2, dtype=torch.float64), vehicle.body)
 
 
 @compiled
@@ -61,11 +71,14 @@ def _slide(before: np.ndarray, after: np.ndarray, walls: np.ndarray, body: _Body
         if touched < 0:
             continue
         along = math.atan2(near[touched, 3] - near[touched, 1], near[touched, 2] - near[touched, 0])
-        if math.cos(along - heading) < 0:
+        if math.cos(along - heading) < _SQUARE:
             along += math.pi
         direction[car] = (along + math.pi) % (2 * math.pi) - math.pi
-        for turned in (along, heading):
-            free_x, free_y, is_free = _settle(near, x, y, x + low * way_x, y + low * way_y, turned, wide)
+        touch_x, touch_y = x + low * way_x, y + low * way_y
+        rest = (1 - low) * max(way_x * math.cos(along) + way_y * math.sin(along), 0.0)
+        for turned, further in ((along, rest), (along, 0.0), (heading, 0.0)):
+            there_x, there_y = touch_x + further * math.cos(along), touch_y + further * math.sin(along)
+            free_x, free_y, is_free = _settle(near, touch_x, touch_y, there_x, there_y, turned, wide)
             if is_free:
                 pose[car, 0], pose[car, 1] = free_x, free_y
                 pose[car, 2] = (turned + math.pi) % (2 * math.pi) - math.pi

@@ -8,7 +8,6 @@ import math
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, shown
@@ -89,13 +88,9 @@ class DrivenCar(VehicleModel):
         Raises:
             ConfigError: the car does not drive that fast.
         """
-        state = torch.nn.functional.pad(pose, (0, len(self.state_names) - len(POSE)))
-        if speed is None:
-            return state
-        for wrong in speed[~((speed >= 0) & (speed <= self.max_speed))].tolist()[:1]:
+        for wrong in [] if speed is None else speed[~((speed >= 0) & (speed <= self.max_speed))].tolist()[:1]:
             raise ConfigError(f"start.speed is {wrong:g} m/s; it must lie between 0 and the car's {self.max_speed:g}")
-        state[:, MOTION.index("speed")] = speed.to(state)
-        return state
+        return super().initial_state(pose, speed)
 
     def steering_range(self, speed: Tensor) -> Tensor:
         """How far the driver turns the front wheels at most at a speed, so that it is never violent: [N], rad.

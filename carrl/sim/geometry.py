@@ -3,6 +3,10 @@
 Shapes: `B` cars, `R` rays, `S` segments. Lengths are in metres, angles in radians counter-clockwise from +x.
 """
 
+import math
+
+import numpy as np
+import shapely
 import torch
 from torch import Tensor
 
@@ -63,6 +67,22 @@ def crosses(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:
     path_straddles = cross(edges, starts - first) * cross(edges, ends - first) < 0
     segment_straddles = cross(path, first - starts) * cross(path, last - starts) < 0
     return path_straddles & segment_straddles
+
+
+def crosses_forward(begin: Tensor, end: Tensor, gate: Tensor) -> Tensor:
+    """Whether each way begin-end, [B, 2], crosses its own gate (left end, right end), [B, 2, 2], forward: [B]."""
+    left, across = gate[:, 0], gate[:, 1] - gate[:, 0]
+    side_before, side_after = cross(across, begin - left), cross(across, end - left)
+    share = (side_before / (side_before - side_after))[:, None]
+    position = ((begin + share * (end - begin) - left) * across).sum(-1) / (across * across).sum(-1)
+    return (side_before < 0) & (side_after >= 0) & (position >= 0) & (position <= 1)
+
+
+def most_gates_per_step(gates: Tensor, step_length: float) -> int:
+    """How many gates [G, 2, 2] the straight way of one step can cross at the most."""
+    lines = shapely.linestrings(gates.numpy())
+    gap = shapely.distance(lines, np.roll(lines, 1)).min()
+    return len(gates) if gap * len(gates) <= step_length else math.floor(step_length / gap) + 1
 
 
 def path_clearance(starts: Tensor, ends: Tensor, segments: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from carrl.sim.collision_geometry import CollisionGeometry
 from carrl.sim.machine_code import apart, as_array, compiled, dispatched, inlined
+from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import VehicleModel
 
 # Written out, since Numba's cache sees only changes to this file.
@@ -26,9 +27,7 @@ _LANES = 8
 
 
 class World(NamedTuple):
-    """What stays the same from step to step; the arrays are C-contiguous.
-
-    The first nine are those of `CollisionGeometry`.
+    """What stays the same from step to step; the arrays are C-contiguous, the first nine those of `CollisionGeometry`.
 
     Attributes:
         fan: cosines and sines of the rays' angles from the heading, padded to whole lanes, [2, R'], float64.
@@ -64,30 +63,20 @@ class Kernels:
 
     Args:
         geometry: walls and gates.
-        ray_angles: counter-clockwise from the heading, [R], rad.
-        max_range: of the rays, m.
+        sensor: its rays.
         vehicle: the car.
         most_gates: how many gates one step can cross at the most.
-        mount: how far ahead of the car's middle the rays start, m.
     """
 
-    def __init__(
-        self,
-        geometry: CollisionGeometry,
-        ray_angles: Tensor,
-        max_range: float,
-        vehicle: VehicleModel,
-        most_gates: int,
-        mount: float = 0.0,
-    ) -> None:
+    def __init__(self, geometry: CollisionGeometry, sensor: Sensor, vehicle: VehicleModel, most_gates: int) -> None:
         """Compiles at once, unless that was done before, so that no step takes longer than the others."""
         radius, half_length, half_width = vehicle.body.measures
         self._world = World(
             **{name: np.ascontiguousarray(tensor.numpy()) for name, tensor in geometry._asdict().items()},
-            fan=_fan(ray_angles),
-            rays=len(ray_angles),
-            mount=mount,
-            max_range=float(max_range),
+            fan=_fan(sensor.angles),
+            rays=sensor.rays,
+            mount=float(sensor.mount),
+            max_range=float(sensor.max_range),
             body_radius=radius,
             half_length=half_length,
             half_width=half_width,
@@ -177,9 +166,11 @@ def _follow(
         deck = _deck(world, track[car], next_gate[car])
         begin, touching, end = _walls_near(world, x, y, deck)
         # What is no number fails every comparison: such a car would drive on for ever.
-        hit = not math.isfinite(x + y) or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
-        if is_rectangle and not hit:
-            hit = _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        hit = not math.isfinite(x + y)
+        if is_rectangle:
+            hit = hit or _rectangle_touches(world, begin, touching, begin_x, begin_y, path_x, path_y, heading)
+        else:
+            hit = hit or _disc_touches(world, begin, touching, begin_x, begin_y, path_x, path_y)
         first = world.first_gate[track[car]]
         gates = world.gates[first : world.first_gate[track[car] + 1]]
         crossed = 0 if hit else _count_gates(gates, world.most_gates, next_gate[car], begin_x, begin_y, path_x, path_y)
@@ -252,8 +243,16 @@ def _rectangle_touches(
     """Whether the rectangle touches a wall of these entries on its straight way: see `geometry.rectangle_touches`."""
     cos, sin = math.cos(heading), math.sin(heading)
     way = cos * path_x + sin * path_y, cos * path_y - sin * path_x  # in the frame of the rectangle
+    reach_x = abs(cos) * world.half_length + abs(sin) * world.half_width
+    reach_y = abs(sin) * world.half_length + abs(cos) * world.half_width
+    low_x, high_x = begin_x + min(path_x, 0.0) - reach_x, begin_x + max(path_x, 0.0) + reach_x
+    low_y, high_y = begin_y + min(path_y, 0.0) - reach_y, begin_y + max(path_y, 0.0) + reach_y
     for entry in range(begin, end):
         first_x, first_y, last_x, last_y = world.walls[world.entries[entry]]
+        if max(first_x, last_x) <= low_x or min(first_x, last_x) >= high_x:
+            continue  # as most walls are
+        if max(first_y, last_y) <= low_y or min(first_y, last_y) >= high_y:
+            continue
         first_x, first_y, last_x, last_y = first_x - begin_x, first_y - begin_y, last_x - begin_x, last_y - begin_y
         first = cos * first_x + sin * first_y, cos * first_y - sin * first_x
         last = cos * last_x + sin * last_y, cos * last_y - sin * last_x

@@ -73,7 +73,7 @@ class Kinematic(DrivenCar):
     @property
     def kernel(self) -> Kernel:
         """The same on the CPU."""
-        from carrl.sim.car_kernels import drive_kinematic  # Here, since Numba takes half a second to import.
+        from carrl.sim.kinematic_kernel import drive_kinematic  # Here, since Numba takes half a second to import.
 
         return drive_kinematic
 

@@ -20,7 +20,7 @@ from carrl.rows import Rows
 from carrl.sim.machine_code import as_array, compiled
 
 _LEAST_STRETCH = 1.0
-"""Curvatures are means over at least so much of the road, m."""
+"""Between two places ahead, m: that of a curvature is a mean over so much of the road at least."""
 _LEAST_ROOM = 0.01
 
 
@@ -91,6 +91,9 @@ class Places:
         self._gate_gaps = self._roads.lengths / np.array(gate_counts)
         widest = np.maximum.reduceat(self._roads.room[:, [0, 2]].sum(axis=1), first[:-1])
         self._reach = 2 * step_length + widest  # a corner's sides are no further apart for a car between the walls
+        none, nothing = torch.zeros(0, dtype=torch.int64), torch.zeros(0)
+        self.after(torch.zeros(0, 3), none, nothing)  # compiles at once, so that no step takes longer than the others
+        self.curvatures(none, nothing, nothing, nothing, 1)
 
     def on_the_way(self, pose: Tensor, track: Tensor, next_gate: Tensor) -> Place:
         """The places of cars [B, S] that are between the gate [B] that counts next and the one before it."""
@@ -109,7 +112,7 @@ class Places:
             track: of each car, [B], int64.
             station: of each car, [B], m.
             begin: from there to the first of the places, [B], m.
-            spacing: between two of them, [B], m.
+            spacing: between two of them, [B], m; at least 1 m in any case.
             count: K.
 
         Returns:
@@ -228,18 +231,18 @@ def _curvatures(
             raise ValueError("a track's index is not one of those that the simulator has")
         first, after_last, length = roads.first[track[car]], roads.first[track[car] + 1], roads.lengths[track[car]]
         stretch = max(spacing[car], _LEAST_STRETCH)
-        for place in range(count):
-            middle = station[car] + begin[car] + place * spacing[car]
-            turn = 0.0
-            for sign in (1, -1):
-                there = middle + sign * stretch / 2
-                laps = math.floor(there / length)
-                there -= laps * length
-                segment = first + np.searchsorted(roads.stations[first:after_last], there, side="right") - 1
-                segment = min(max(segment, first), after_last - 1)
-                end = roads.stations[segment + 1] if segment + 1 < after_last else length
-                share = (there - roads.stations[segment]) / (end - roads.stations[segment])
-                heading = roads.headings[segment, 0] + share * (roads.headings[segment, 1] - roads.headings[segment, 0])
-                turn += sign * (heading + laps * roads.turns[track[car]])
-            curvatures[car, place] = turn / stretch
+        heading_before = 0.0
+        for edge in range(count + 1):
+            there = station[car] + begin[car] + (edge - 0.5) * stretch
+            laps = math.floor(there / length)
+            there -= laps * length
+            segment = first + np.searchsorted(roads.stations[first:after_last], there, side="right") - 1
+            segment = min(max(segment, first), after_last - 1)
+            end = roads.stations[segment + 1] if segment + 1 < after_last else length
+            share = (there - roads.stations[segment]) / (end - roads.stations[segment])
+            heading = roads.headings[segment, 0] + share * (roads.headings[segment, 1] - roads.headings[segment, 0])
+            heading += laps * roads.turns[track[car]]
+            if edge > 0:
+                curvatures[car, edge - 1] = (heading - heading_before) / stretch
+            heading_before = heading
     return curvatures

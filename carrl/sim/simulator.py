@@ -9,15 +9,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import shapely
 import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.collision_geometry import CollisionGeometry, TrackLayout
-from carrl.sim.geometry import cross, path_clearance, ray_distances, rectangle_touches
+from carrl.sim.geometry import (
+    crosses_forward,
+    most_gates_per_step,
+    path_clearance,
+    ray_distances,
+    rectangle_touches,
+)
 from carrl.sim.places import Place, Places
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import Disc, VehicleModel
@@ -154,8 +158,12 @@ class Simulator:
         self.gate_counts = self.geometry.first_gate.diff()
         self.sensor_angles = sensor.angles.to(device)
         self._most_walls = geometry.longest_list
-        self._most_gates_per_step = max(_most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
+        self._most_gates_per_step = max(most_gates_per_step(each.gates, vehicle.step_length) for each in self.tracks)
         self._kernels = self._load_kernels() if compiled and self.device.type == "cpu" else None
+        if slide is not None:
+            from carrl.sim.contact import compile_slide  # Here, since Numba takes half a second to import.
+
+            compile_slide(vehicle)
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle, with the machine code to be loaded again.
@@ -267,24 +275,19 @@ class Simulator:
 
     def _slid(self, cars: CarState, outcome: Outcome, kept: float) -> Outcome:
         """The outcome with those cars outside of the walls that touched one."""
-        if not outcome.collided.any():
-            return outcome
-        from carrl.sim.contact import slide  # Here, since Numba takes half a second to import.
-
         touched = outcome.collided
+        if not touched.any():
+            return outcome
+        from carrl.sim.contact import slide
+
         before, after = cars[touched], outcome.cars[touched]
         pose, direction = slide(before.state, after.state, self._walls_near(after), self.vehicle.body)
-        state = self.vehicle.after_contact(after.state, pose, direction, kept)
+        state = torch.where(after.state.isfinite(), after.state, before.state)  # what is no number would stay so
+        state = self.vehicle.after_contact(state, pose, direction, kept)
         passed = self._count_gates(before.pose[:, :2].double(), pose[:, :2].double(), before)
         next_gate = (before.next_gate + passed) % self.gate_counts[before.track]
         after = CarState(state, next_gate, before.gates_passed + passed, before.track)
-        there = touched.nonzero()[:, 0]
-        return Outcome(
-            outcome.cars.replacing(touched, after),
-            outcome.ranges.index_copy(0, there, self.sense(after)),
-            touched,
-            outcome.gates_passed.index_copy(0, there, passed),
-        )
+        return outcome.replacing(touched, Outcome(after, self.sense(after), touched[touched], passed))
 
     def place(self, cars: CarState) -> Place:
         """Where on the road the cars are, near their last stations; without those, on the way to their next gates."""
@@ -321,8 +324,7 @@ class Simulator:
         from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.
 
         most_gates = self._most_gates_per_step
-        mount = float(self.sensor.mount)
-        return Kernels(self.geometry, self.sensor_angles, self.sensor.max_range, self.vehicle, most_gates, mount)
+        return Kernels(self.geometry, self.sensor, self.vehicle, most_gates)
 
     def _sideways(self, track: Tensor, stations: Tensor, heading: Tensor, offset: Tensor) -> Tensor:
         """From the centreline, square to the heading [B], as far towards a wall as the offset [B] says: [B, 2], m."""
@@ -342,21 +344,5 @@ class Simulator:
         passed = torch.zeros_like(cars.next_gate)
         for _ in range(self._most_gates_per_step):
             gate = self.geometry.gates[first + (cars.next_gate + passed) % count].unflatten(-1, (2, 2))
-            passed = passed + _crosses_forward(begin, end, gate)
+            passed = passed + crosses_forward(begin, end, gate)
         return passed
-
-
-def _crosses_forward(begin: Tensor, end: Tensor, gate: Tensor) -> Tensor:
-    """Whether each way begin-end, [B, 2], crosses its own gate (left end, right end), [B, 2, 2], forward: [B]."""
-    left, across = gate[:, 0], gate[:, 1] - gate[:, 0]
-    side_before, side_after = cross(across, begin - left), cross(across, end - left)
-    share = (side_before / (side_before - side_after))[:, None]
-    position = ((begin + share * (end - begin) - left) * across).sum(-1) / (across * across).sum(-1)
-    return (side_before < 0) & (side_after >= 0) & (position >= 0) & (position <= 1)
-
-
-def _most_gates_per_step(gates: Tensor, step_length: float) -> int:
-    """How many gates [G, 2, 2] the straight way of one step can cross at the most."""
-    lines = shapely.linestrings(gates.numpy())
-    gap = shapely.distance(lines, np.roll(lines, 1)).min()
-    return len(gates) if gap * len(gates) <= step_length else math.floor(step_length / gap) + 1

@@ -160,13 +160,14 @@ class SingleTrack(DrivenCar):
     @property
     def kernel(self) -> Kernel:
         """The same on the CPU."""
-        from carrl.sim.car_kernels import drive_single_track  # Here, since Numba takes half a second to import.
+        from carrl.sim.single_track_kernel import drive_single_track  # Here, since Numba takes half a second to import.
 
         return drive_single_track
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """In the order of `carrl.sim.car_kernels.SingleTrackConstants`."""
+        """In the order of `carrl.sim.single_track_kernel.Constants`, then the shape of the steering range."""
+        grip = self.friction * GRAVITY
         return (
             float(self.tyre == "brush"),
             STEERING.index(self.steering),
@@ -176,10 +177,11 @@ class SingleTrack(DrivenCar):
             self.time_step / self.substeps,
             self.front_axle,
             self.rear_axle,
-            self.height,
-            GRAVITY,
-            self.friction,
             self.mass / self.yaw_inertia,
+            grip,
+            1 / grip,
+            self.rear_axle / self.wheelbase,
+            self.height / (GRAVITY * self.wheelbase),
             self.front_stiffness,
             self.rear_stiffness,
             self.max_steering,
@@ -190,8 +192,10 @@ class SingleTrack(DrivenCar):
             self.min_speed,
             self.slip_speed,
             self.kinematic_below,
-            STEERABLE,
-            FULL_SLIP,
+            grip * (1 - STEERABLE**2) ** 0.5,
+            1 / FULL_SLIP,
+            EASE / (2 * self.max_speed),
+            EASE / (2 * self.min_speed) if self.min_speed else 0.0,
             EASE,
             REST,
             MOST_SPIN,
@@ -258,7 +262,6 @@ class SingleTrack(DrivenCar):
             return pedals[0] * self.max_acceleration
         if self.pedals == "two":
             return (pedals[0] - pedals[1]) / 2 * self.max_acceleration
-        forward = pedals[0] > 0
-        missing = pedals[0] * torch.where(forward, self.max_speed, -self.min_speed) - speed
-        gain = torch.where(speed > 0, FORWARD_GAIN, BACKWARD_GAIN) * self.max_acceleration
-        return missing * gain / torch.where(missing > 0, self.max_speed, -self.min_speed)
+        missing = pedals[0].clamp(min=0) * self.max_speed - pedals[0].clamp(max=0) * self.min_speed - speed
+        gain = torch.where(speed > 0, torch.full_like(speed, FORWARD_GAIN), BACKWARD_GAIN) * self.max_acceleration
+        return missing * gain / torch.where(missing > 0, torch.full_like(speed, self.max_speed), -self.min_speed)

@@ -92,31 +92,24 @@ class Brush:
         most = (1 - STEERABLE**2) ** 0.5 * grip
         drive = Brush.limited(car, along, across, wanted).clamp(-most, most)
         left = (1 - (drive / grip).square()).sqrt()
-        front_load = (GRAVITY * car.rear_axle - drive * car.height) / (GRAVITY * car.wheelbase)
-        front_across = across + car.front_axle * yaw_rate
-        front = (
-            grip
-            * front_load
-            * Brush.force(
-                front_across * cos_steering - along * sin_steering,
-                along * cos_steering + front_across * sin_steering,
-                car.front_stiffness,
-                car.slip_speed,
-                left,
-            )
-        )
-        rear_across = across - car.rear_axle * yaw_rate
-        rear = grip * (1 - front_load) * Brush.force(rear_across, along, car.rear_stiffness, car.slip_speed, left)
-        front_along = front_load * drive * cos_steering - front * sin_steering
-        front_aside = front_load * drive * sin_steering + front * cos_steering
-        acceleration, lateral = front_along + (1 - front_load) * drive, front_aside + rear
+        front_across, rear_across = across + car.front_axle * yaw_rate, across - car.rear_axle * yaw_rate
+        front_along = along * cos_steering + front_across * sin_steering
+        front_aside = front_across * cos_steering - along * sin_steering
+        front_drive, rear_drive = Brush.at_wheel(car, front_along, drive), Brush.at_wheel(car, along, drive)
+        front_load = (GRAVITY * car.rear_axle - rear_drive * car.height) / (GRAVITY * car.wheelbase)
+        slip_speed = car.slip_speed
+        front = grip * front_load * Brush.force(front_aside, front_along, car.front_stiffness, slip_speed, left)
+        rear = grip * (1 - front_load) * Brush.force(rear_across, along, car.rear_stiffness, slip_speed, left)
+        front_pull = front_load * front_drive * cos_steering - front * sin_steering
+        front_push = front_load * front_drive * sin_steering + front * cos_steering
+        acceleration, lateral = front_pull + (1 - front_load) * rear_drive, front_push + rear
         changes = [
             along * cos - across * sin,
             along * sin + across * cos,
             yaw_rate,
             acceleration + yaw_rate * across,
             lateral - yaw_rate * along,
-            (car.front_axle * front_aside - car.rear_axle * rear) * (car.mass / car.yaw_inertia),
+            (car.front_axle * front_push - car.rear_axle * rear) * (car.mass / car.yaw_inertia),
             acceleration,
             lateral,
         ]
@@ -133,17 +126,23 @@ class Brush:
 
     @staticmethod
     def limited(car: "SingleTrack", along: Tensor, across: Tensor, wanted: Tensor) -> Tensor:
-        """What engine and brakes give of the acceleration asked for at these speeds along and across the car, [N]."""
+        """What engine and brakes can give of the acceleration asked for, at speeds along and across the car, [N]."""
         wanted, energy = wanted.clamp(min=-car.max_acceleration), along.square() + across.square()
         strongest = car.max_acceleration * car.power_speed / along.abs().clamp(min=car.power_speed)
         forward = EASE / (2 * car.max_speed) * (car.max_speed**2 - energy)  # EASE times what is missing of max_speed
         drive = torch.minimum(wanted, torch.minimum(strongest, forward))
-        if car.min_speed == 0:  # The brakes act against the motion, and there is no reverse gear.
-            brake = -torch.maximum(torch.minimum(EASE * along, -wanted), wanted)
-        else:
-            backward = EASE / (2 * car.min_speed) * (car.min_speed**2 - energy)
-            brake = torch.where(along < 0, torch.maximum(wanted, backward), wanted)
-        return torch.where(wanted >= 0, drive, brake)
+        if car.min_speed == 0:
+            return torch.where(wanted >= 0, drive, wanted)
+        backward = EASE / (2 * car.min_speed) * (car.min_speed**2 - energy)
+        reverse = torch.where(along < 0, torch.maximum(wanted, backward), wanted)
+        return torch.where(wanted >= 0, drive, reverse)
+
+    @staticmethod
+    def at_wheel(car: "SingleTrack", speed: Tensor, drive: Tensor) -> Tensor:
+        """The acceleration by a wheel that rolls at this speed, [N]; brakes of a car without reverse act against it."""
+        if car.min_speed < 0:
+            return drive
+        return torch.where(drive >= 0, drive, -torch.maximum(torch.minimum(EASE * speed, -drive), drive))
 
     @staticmethod
     def settled(car: "SingleTrack", motion: Tensor) -> Tensor:

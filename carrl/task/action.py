@@ -113,7 +113,7 @@ class ContinuousActions:
     """Every control on its own, as a number within -1 and 1.
 
     Attributes:
-        control_names: of the vehicle's controls, C of them; by default, as `fitted` finds out, all that it has.
+        control_names: of the vehicle's controls, C of them; none: all that it has, as `fitted` finds out.
     """
 
     control_names: Sequence[str] = ()
@@ -148,7 +148,7 @@ class ContinuousActions:
 
 
 def make_table(settings: Mapping[str, Sequence[float]]) -> DiscreteActions:
-    """Every combination of some settings of each control, the first of each first: such as `left_brake`.
+    """Every combination of some settings of each control, the first of each first, named such as `left_brake`.
 
     Args:
         settings: for each control of the vehicle the values that it can have, in [-1, 1].

@@ -79,7 +79,7 @@ class StartSampler:
         seeds: how many.
 
     Raises:
-        ConfigError: a speed is asked for, and the vehicle has but one.
+        ConfigError: a speed is asked for, and the vehicle has but one, or does not drive that fast.
     """
 
     def __init__(self, start: Start, simulator: Simulator, cars: int, seeds: int) -> None:
@@ -89,6 +89,8 @@ class StartSampler:
                 f"start.{name} is {getattr(start, name)}; the vehicle {type(simulator.vehicle).__name__} has no speed "
                 "in its state that an episode could start with, so it must be 0"
             )
+        if start.speed or start.speed_spread:  # that it is refused now, and not when it is drawn
+            simulator.vehicle.initial_state(torch.zeros(1, 3), torch.tensor([start.speed + start.speed_spread]))
         self._start, self._simulator = start, simulator
         self._variants = (1 + start.mirrored) * (1 + start.reversed)
         self._bases = len(simulator.tracks) // self._variants

@@ -3,7 +3,6 @@
 Shapes: `N` cars.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -17,6 +16,8 @@ from carrl.task.episode import ObservationContext
 from carrl.task.observation import Part
 
 MOST_UNIT = 1e9
+WIDE = 1e9
+"""Bound of values that have none of their own; Gymnasium warns of bounds that are infinite."""
 
 
 def check_unit(unit: object, term: str) -> None:
@@ -42,7 +43,7 @@ class StateEntry:
 
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
         """One value."""
-        return Part(name, 1, -math.inf, math.inf)
+        return Part(name, 1, -WIDE, WIDE)
 
     def __call__(self, context: ObservationContext) -> Tensor:
         """In the unit."""
@@ -65,7 +66,7 @@ class Velocity:
 
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
         """Two values."""
-        return Part(name, 2, -math.inf, math.inf)
+        return Part(name, 2, -WIDE, WIDE)
 
     def __call__(self, context: ObservationContext) -> Tensor:
         """From the speed and the slip angle."""

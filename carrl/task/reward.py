@@ -194,8 +194,9 @@ class Reward:
 
     @property
     def near_wall(self) -> Proximity:
-        """The term that says what is near a wall; the paper's if there is none."""
-        return next((term for term in self.terms.values() if isinstance(term, Proximity)), Proximity())
+        """The term that says what is near a wall; if there is none the paper's, but that it earns nothing."""
+        terms = (term for term in self.terms.values() if isinstance(term, Proximity))
+        return next(terms, Proximity(weight=0.0))
 
 
 def paper_reward(turn: float = 0.0, switch: float = 0.0) -> Reward:

@@ -16,7 +16,7 @@ from carrl.sim.sensor import Sensor
 from carrl.task.action import ActionMap
 from carrl.task.checks import number
 from carrl.task.episode import ObservationContext
-from carrl.task.motion import check_unit
+from carrl.task.motion import WIDE, check_unit
 from carrl.task.observation import Part
 
 MOST_CURVATURES, MOST_SECONDS = 1000, 3600
@@ -64,7 +64,7 @@ class TrackPosition(_RoadTerm):
 
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
         """One value, which is beyond 1 for a car in a wall."""
-        return Part(name, 1, -math.inf, math.inf)
+        return Part(name, 1, -WIDE, WIDE)
 
     def __call__(self, context: ObservationContext) -> Tensor:
         """By the width of the road on that side."""
@@ -78,7 +78,7 @@ class Curvatures(_RoadTerm):
     Attributes:
         count: of the places.
         from_s: when it reaches the first of them, s.
-        spacing_s: from one to the next, s.
+        spacing_s: from one to the next, s; they are at least 1 m apart, for cars at rest, too.
         radius: of a bend to the left that counts as 1, m.
     """
 
@@ -100,7 +100,7 @@ class Curvatures(_RoadTerm):
 
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
         """As many values as places."""
-        return Part(name, self.count, -math.inf, math.inf)
+        return Part(name, self.count, -WIDE, WIDE)
 
     def __call__(self, context: ObservationContext) -> Tensor:
         """The radius over that of the road, left positive, [N, count]."""

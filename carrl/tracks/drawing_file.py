@@ -113,7 +113,30 @@ class Drawing:
         return Centreline(points=points, width_right=half_width, width_left=half_width)
 
 
-DRAWINGS = {
+@dataclass(frozen=True)
+class Curve:
+    """A circuit as a smooth curve through some points, driven in their order.
+
+    Attributes:
+        points: m. The start line is at the first one.
+        width: from wall to wall, m.
+        gate_count: evenly spaced, the last one on the start line.
+        point_spacing: about how far the centreline's points stand apart, m.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    width: float
+    gate_count: int
+    point_spacing: float = 2.0
+
+    def centreline(self) -> Centreline:
+        """The curve as a centreline of evenly spaced points."""
+        points = smooth_curve(np.array(self.points, dtype=np.float64), self.point_spacing)
+        half_width = np.full(len(points), self.width / 2)
+        return Centreline(points=points, width_right=half_width, width_left=half_width)
+
+
+DRAWINGS: dict[str, Drawing | Curve] = {
     "oval": Drawing(
         corners=((-20, 0), (60, 0), (60, 40), (-20, 40)),
         corner_radius=16.0,
@@ -132,8 +155,20 @@ DRAWINGS = {
         width=6.5,
         gate_count=12,
     ),
+    "grand_prix": Curve(
+        points=(
+            *((-40, 0), (80, 0), (200, 0), (310, 4), (375, 35), (395, 100), (355, 150), (285, 150), (225, 115)),
+            *((165, 100), (115, 135), (115, 200), (165, 255), (245, 282), (320, 298), (348, 312), (350, 338)),
+            *((322, 352), (240, 362), (150, 385), (80, 392), (10, 372), (-25, 335), (-22, 275), (-45, 225)),
+            *((-95, 215), (-125, 250), (-135, 310), (-170, 355), (-235, 362), (-285, 325), (-285, 265)),
+            *((-245, 215), (-228, 160), (-246, 132), (-285, 122), (-325, 105), (-338, 65), (-310, 22)),
+            *((-250, 4), (-150, 0)),
+        ),
+        width=12.0,
+        gate_count=91,
+    ),
 }
-"""The built-in tracks, easiest first."""
+"""The built-in tracks: three for the paper's car, easiest first, and one for cars that race."""
 
 
 MAX_YAML_BYTES = 2**18

@@ -49,7 +49,7 @@ class Pipeline:
         learner: what makes the updates.
         plan: when a state is kept, and by which seeds is trained.
         limits: when a run is over.
-        evaluation_interval: env steps between two evaluations; None for one at the end alone.
+        evaluation: when and from where networks are tried out; None for the start line, at the end alone.
     """
 
     world: World
@@ -59,7 +59,7 @@ class Pipeline:
     learner: Learner
     plan: TrainingPlan
     limits: Limits
-    evaluation_interval: int | None
+    evaluation: EvaluationPlan | None
 
 
 def build_pipeline(config: Config) -> Pipeline:
@@ -86,18 +86,17 @@ def build_pipeline(config: Config) -> Pipeline:
     algorithm = _recipe(config).build(config, world, seeds, device)
     buffer = _build_buffer(buffer_node, device, seeds)
     algorithm.check_memory(buffer.sampler.is_weighted)
-    interval: int | None = None
+    evaluation: EvaluationPlan | None = None
     source: Source
     if offline:
         fill_from_logs(buffer, offline.paths, len(seeds), world.action)
         source, limits = Logged(buffer, offline.updates), Limits(updates=offline.updates)
     else:
         source, limits = _build_simulated(config, world, algorithm, buffer), Limits(plan.frames, plan.episodes)
-        evaluation: EvaluationPlan = build_node("evaluation", config["evaluation"])
-        interval = evaluation.interval
+        evaluation = build_node("evaluation", config["evaluation"])
     frames_per_update = 1 if offline else plan.frames_per_update
     learner = Learner(algorithm, buffer, compiled=compiled, frames_per_update=frames_per_update)
-    return Pipeline(world, algorithm, buffer, source, learner, plan, limits, interval)
+    return Pipeline(world, algorithm, buffer, source, learner, plan, limits, evaluation)
 
 
 def _recipe(config: Config) -> Recipe:

@@ -25,6 +25,7 @@ from carrl.log.scene import STATE_UNITS, ObservationPart, Scene
 from carrl.log.schema import Column, Schema
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import POSE, Rectangle
+from carrl.train.plan import EvaluationPlan
 
 if TYPE_CHECKING:
     from carrl.train.trainer import Trainer
@@ -245,14 +246,14 @@ class LoggedProgress(Callback):
 
 
 class Evaluator(Callback):
-    """A greedy lap of every validation circuit from its start line, every so many env steps and at the end.
+    """Greedy laps of every validation circuit, every so many env steps and at the end.
 
     Args:
-        interval: env steps between two evaluations; None for one at the end alone.
+        plan: how often, and from how many places; None for the start line, at the end alone.
     """
 
-    def __init__(self, interval: int | None) -> None:
-        self._interval = interval
+    def __init__(self, plan: EvaluationPlan | None) -> None:
+        self._interval, self._starts = plan.interval if plan else None, plan.starts if plan else 1
         self._evaluated_at, self._round_began_at = -1, 0
         self._simulator: Simulator | None = None  # where transitions come from logs, there is none before the end
 
@@ -284,18 +285,19 @@ class Evaluator(Callback):
     def drive(self, trainer: "Trainer") -> list[EvaluationResult]:
         """The evaluation of every replicate's network, all driven side by side."""
         world, replicates = trainer.pipeline.world, len(trainer.runs)
-        circuits = len(world.circuits.validation)
+        circuits, starts = len(world.circuits.validation), self._starts
         if self._simulator is None:
             self._simulator = world.simulator(world.circuits.validation, trainer.algorithm.collect_policy.device)
-        track = torch.arange(circuits).repeat(replicates)
+        track = torch.arange(circuits).repeat_interleave(starts).repeat(replicates)
+        stations = self._simulator.routes.lengths[track] * torch.arange(starts).repeat(circuits * replicates) / starts
+        drives_each = circuits * starts
 
         def of_replicates(drives: Sequence[Rollout]) -> list[EvaluationResult]:
-            return [
-                EvaluationResult(tuple(drives[begin : begin + circuits])) for begin in range(0, len(drives), circuits)
-            ]
+            begins = range(0, len(drives), drives_each)
+            return [EvaluationResult(tuple(drives[begin : begin + drives_each])) for begin in begins]
 
         def shown(drives: Sequence[Rollout]) -> list[int]:
-            return [number * circuits + result.shown for number, result in enumerate(of_replicates(drives))]
+            return [number * drives_each + result.shown for number, result in enumerate(of_replicates(drives))]
 
-        policy, stations = trainer.algorithm.greedy_policy, torch.zeros(len(track))
+        policy = trainer.algorithm.greedy_policy
         return of_replicates(rollout(world, self._simulator, policy, stations, track, shown))

@@ -199,9 +199,11 @@ def road_warning(tracks: Sequence[Track], world: World) -> str | None:
     (first, phrases), count = found[0], len(tracks)
     subject = f"track '{first.name}' does" if count == 1 else f"{len(found)} of {count} tracks do"
     place = "" if count == 1 else f"track '{first.name}': "
+    sizes = ("turn_radius", "body_radius", "speed", "max_steering", "length", "width")
+    keys = [f"vehicle.{name}" for name in sizes if hasattr(world.vehicle, name)]
     return (
-        f"warning: {subject} not suit the car; {place}{'; '.join(phrases)}; set vehicle.turn_radius, "
-        "vehicle.body_radius, vehicle.speed and sensor.max_range to its size, see carrl track check"
+        f"warning: {subject} not suit the car; {place}{'; '.join(phrases)}; set {', '.join(keys)} and sensor.max_range "
+        "to its size, see carrl track check"
     )
 
 
@@ -313,7 +315,8 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
     from carrl.render.lap import draw_lap  # brings Matplotlib
 
     if run.best is not None:
-        best, track = run.best.rollouts[run.best.shown], world.circuits.validation[run.best.shown]
+        circuits, shown = world.circuits.validation, run.best.shown
+        best, track = run.best.rollouts[shown], circuits[shown * len(circuits) // len(run.best.rollouts)]
         body = world.vehicle.body
         draw_lap(
             run.folder.path / LAP,

@@ -10,6 +10,8 @@ from carrl.errors import ConfigError, shown
 
 MOST_REPLICATES = 4096
 """That train side by side."""
+MOST_STARTS = 1000
+"""On each circuit, of an evaluation."""
 LARGEST_SEED = 2**63 - 1
 
 
@@ -100,18 +102,22 @@ class Limits:
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """How often the greedy policy is tried out.
+    """How often the greedy policy is tried out, and from where.
 
     Attributes:
         interval: env steps between two evaluations, greedy drives on the validation circuits or the one track.
+        starts: places on each of them, spread evenly from its start line on; a drive begins at each.
     """
 
     interval: int
+    starts: int = 1
 
     def __post_init__(self) -> None:
-        """Raises ConfigError unless the interval is positive."""
+        """Raises ConfigError unless both are positive."""
         if self.interval < 1:
             raise ConfigError(f"evaluation.interval is {self.interval}; it must be at least 1 env step")
+        if not (is_whole_number(self.starts) and 1 <= self.starts <= MOST_STARTS):
+            raise ConfigError(f"evaluation.starts is {self.starts}; it must be a whole number from 1 to {MOST_STARTS}")
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,10 @@ EVALUATION_KEYS = (
     "steering_change",
     "near_wall_share",
     "progress",
-    "circuits",
+    "drives",
     "laps_completed",
 )
-"""What `summary.json` has of an evaluation; of several circuits the means, and the last two besides."""
+"""What `summary.json` has of an evaluation; of several drives the means, and the last two besides."""
 
 
 @dataclass(frozen=True)

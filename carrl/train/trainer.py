@@ -53,7 +53,7 @@ class Trainer:
         self._start_up_s = self._began - carrl._IMPORTED_AT
         self._stopping = False
         self._state_file = state_file
-        self._own_callbacks = [Recorder(), LoggedProgress(), Evaluator(pipeline.evaluation_interval)]
+        self._own_callbacks = [Recorder(), LoggedProgress(), Evaluator(pipeline.evaluation)]
         self._callbacks: Sequence[Callback] = self._own_callbacks
 
     @property

@@ -13,7 +13,7 @@ CIRCUITS = ["track=circuits", "track.count=2", "track.validation=3"]
 def test_of_many_circuits_it_says_how_many_are_lapped(seeds, tmp_path, capsys):
     assert main(["train", *SHORT, *CIRCUITS, f"trainer.seeds={seeds}", f"hydra.run.dir={tmp_path}"]) == 0
     output = capsys.readouterr()
-    assert "0 of 3 circuits" in output.out
+    assert "0 of 3 drives" in output.out
     assert "lapped 0 of 3" in output.err
 
 

@@ -12,6 +12,8 @@ from tests.configs import compose
 pygame = pytest.importorskip("pygame", reason="the window needs pygame; pip install 'carrl[render]'")
 
 from carrl.cli import drive  # noqa: E402 (after the check for pygame)
+from carrl.cli.driver import PedalsDriver  # noqa: E402
+from carrl.errors import ConfigError  # noqa: E402
 from carrl.render.window import Window  # noqa: E402
 
 
@@ -37,6 +39,36 @@ def play(monkeypatch):
         return shown
 
     return run
+
+
+class FakePad:
+    """A gamepad as pygame shows it."""
+
+    def __init__(self, index):
+        self.index = index
+
+    def get_instance_id(self):
+        return self.index
+
+    def get_name(self):
+        return ("Sony DualShock 4", "Microsoft X-Box 360 pad")[self.index]
+
+
+@pytest.fixture
+def pads(monkeypatch):
+    """Two gamepads are plugged in."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame.init()
+    monkeypatch.setattr(pygame.joystick, "get_count", lambda: 2)
+    monkeypatch.setattr(pygame.joystick, "Joystick", FakePad)
+
+
+def axis(pad, number, value):
+    return pygame.event.Event(pygame.JOYAXISMOTION, instance_id=pad, axis=number, value=value)
+
+
+def key_event(kind, key):
+    return pygame.event.Event(kind, key=key)
 
 
 def down(*keys):
@@ -142,3 +174,50 @@ def test_no_display_and_no_pygame_are_one_sentence_each(monkeypatch, capsys):
 def test_a_pace_that_is_none_is_refused(fps, capsys):
     assert main(["drive", "--fps", fps]) == 2
     assert "--fps is" in capsys.readouterr().err
+
+
+def test_a_held_key_turns_the_wheel_step_by_step_and_it_comes_back_faster():
+    driver = PedalsDriver(("steer", "pedal"), time_step=0.1)
+    driver.take(key_event(pygame.KEYDOWN, pygame.K_LEFT))
+    assert [driver.next_action()[0] for _ in range(6)] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0, 1.0])
+    driver.take(key_event(pygame.KEYUP, pygame.K_LEFT))
+    assert [driver.next_action()[0] for _ in range(4)] == pytest.approx([0.6, 0.2, 0.0, 0.0])
+    driver.take(key_event(pygame.KEYDOWN, pygame.K_d))
+    assert driver.next_action()[0] == pytest.approx(-0.2)
+
+
+def test_a_tapped_pedal_counts_for_one_step_and_the_keys_of_a_held_one_until_it_is_let_go():
+    driver = PedalsDriver(("steer", "throttle", "brake"), time_step=0.1)
+    for kind in (pygame.KEYDOWN, pygame.KEYUP):
+        driver.take(key_event(kind, pygame.K_UP))
+    assert [driver.next_action().tolist() for _ in range(2)] == [[0, 1, -1], [0, -1, -1]]
+    driver.take(key_event(pygame.KEYDOWN, pygame.K_s))
+    assert [driver.next_action().tolist() for _ in range(2)] == [[0, -1, 1]] * 2
+
+
+@pytest.mark.parametrize(("pad", "brake_axis"), [(0, 4), (1, 2)], ids=["PlayStation", "Xbox"])
+def test_stick_and_triggers_of_a_gamepad_steer_and_move_the_pedals(pads, pad, brake_axis):
+    driver = PedalsDriver(("steer", "pedal"), time_step=0.1)
+    assert driver.next_action().tolist() == [0, 0]  # a trigger that was never moved is released
+    assert driver.take(axis(pad, 0, -0.5))  # to the left
+    assert driver.take(axis(pad, 5, 0.0))  # half-way down
+    assert driver.next_action() == pytest.approx([0.5, 0.5])
+    assert driver.take(axis(pad, brake_axis, 1.0))
+    assert driver.next_action() == pytest.approx([0.5, -0.5])
+    assert not driver.take(axis(pad, 0, 0.05))  # as good as the middle
+    assert not driver.take(axis(pad, 5, -1.0))
+    other = {2: 4, 4: 2}[brake_axis]
+    assert not driver.take(axis(pad, other, 1.0))  # another stick
+    assert driver.next_action() == pytest.approx([0.0, -1.0])
+
+
+def test_a_car_with_a_control_that_no_key_moves_is_refused():
+    with pytest.raises(ConfigError, match="the car has the control 'clutch', which no key moves; cars with steer, "):
+        PedalsDriver(("steer", "clutch"), time_step=0.1)
+
+
+def test_a_car_with_pedals_is_driven_by_hand_and_its_speed_is_told(play, capsys):
+    shown = play({1: down(pygame.K_UP), 30: down(pygame.K_LEFT), 36: down(pygame.K_ESCAPE)}, "--vehicle", "kinematic")
+    (line,) = lines(capsys)
+    assert line.startswith("attempt 1: 35 steps")
+    assert (shown[20] != shown[10]).any()

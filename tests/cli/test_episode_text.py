@@ -187,3 +187,22 @@ def test_q_values_that_went_out_of_bounds_are_printed_and_the_others_drawn(trace
 def test_an_episode_is_printed_without_torch_and_matplotlib():
     code = "import sys, carrl.cli.text.episode_text; sys.exit(not {'torch', 'matplotlib'}.isdisjoint(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_car_with_pedals_has_a_column_for_each_control_and_its_speed(pedals):
+    text = printed(pedals, width=140)
+    rows = table_of(text)
+    assert text[text.index("step  ") :].splitlines()[0].split()[6:9] == ["m/s", "steer", "pedal"]
+    assert [" ".join(rows[step]).split("▄▃ ")[1].split()[:3] for step in (0, 1)] == [
+        ["0.0", "+0.00", "+1.00"],
+        ["2.0", "+0.00", "+1.00"],
+    ]
+    assert "-1.000" in rows[0][-1]  # the algorithm's own column
+    assert "speed, m/s" in text
+
+
+def test_a_line_by_speed_has_digits_without_colours_and_a_legend(pedals):
+    lines = [line.rstrip() for line in printed(pedals).splitlines()]
+    assert "S start  0 0.0 m/s  9 7.0 m/s  E the record ends" in lines
+    assert "9" in "".join(lines[1 : lines.index("S start  0 0.0 m/s  9 7.0 m/s  E the record ends")])
+    assert "\x1b[38;2;255;246;192m" in printed(pedals, colours=True)  # of the greatest speed

@@ -9,6 +9,8 @@ import torch
 
 import carrl
 from carrl.errors import ConfigError
+from carrl.sim.kinematic import Kinematic
+from carrl.task.end import End, SlideAlongWall
 from carrl.task.episode import Start
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'carrl[sb3]'")
@@ -104,3 +106,20 @@ def test_its_own_vectors_of_copies_need_no_pygame(monkeypatch):
     envs = make_vec_env("carrl/Track-v0", n_envs=2, seed=0)
     envs.reset()
     assert envs.step(np.array([0, 1]))[0].shape == (2, 7)
+
+
+def test_its_sac_trains_on_many_cars_with_a_pedal():
+    envs = carrl.sb3.make_vec_env(
+        "oval",
+        num_envs=4,
+        vehicle=Kinematic(),
+        action=carrl.ContinuousActions(),
+        end=End({"contact": SlideAlongWall()}),
+    )
+    model = stable_baselines3.SAC(
+        "MlpPolicy", envs, learning_starts=50, policy_kwargs={"net_arch": [16]}, batch_size=16, seed=0, device="cpu"
+    )
+    model.learn(120)
+    actions, _ = model.predict(envs.reset())
+    assert actions.shape == (4, 2)
+    assert np.isfinite(envs.step(actions)[1]).all()

@@ -9,7 +9,9 @@ from carrl import Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError
 from carrl.evaluation.baselines import random_policy, rule_policy
 from carrl.evaluation.rollout import rollout, rollout_laps
+from carrl.sim.kinematic import Kinematic
 from carrl.sim.simulator import Simulator
+from carrl.task.action import ContinuousActions
 from tests.worlds import make_world
 
 WORLD = make_world()
@@ -126,3 +128,48 @@ def test_each_car_has_the_time_limit_of_its_own_track():
 def test_a_start_that_is_no_number_is_refused():
     with pytest.raises(ConfigError, match=r"stations are \[0\.0, nan\]; they must be finite numbers of metres"):
         rollout(WORLD, make_simulator(), rule_policy, torch.tensor([0.0, math.nan]))
+
+
+# Cars with a speed of their own
+
+
+def pedal_policy(pedal):
+    """Steers to the side with more room, with the pedal that a function of the step says."""
+    step = 0
+
+    def act(seen):
+        nonlocal step
+        step += 1
+        turn = (seen[:, 4:7].sum(1) - seen[:, :3].sum(1)) / seen[:, :7].sum(1)
+        return torch.stack([(3 * turn).clamp(-1, 1), torch.full_like(turn, pedal(step))], dim=1)
+
+    return act
+
+
+def race(pedal, **vehicle):
+    actions = ContinuousActions(("steer", "pedal"))
+    world = make_world("oval", vehicle=Kinematic(**vehicle), action=actions)
+    (driven,) = rollout_laps(world, world.simulator(world.track), pedal_policy(pedal))
+    return driven, world
+
+
+def test_a_car_that_never_drives_off_is_stopped_long_before_a_lap_could_take():
+    driven, world = race(lambda step: 0.0)
+    gap = world.track.length / world.track.gate_count
+    assert driven.lap_steps == math.ceil(10 * gap / (50.8 * 0.1) + 10 / 0.1)
+    assert (driven.lap_completed, driven.collided, driven.progress) == (False, False, 0)
+
+
+def test_a_car_that_stops_on_its_way_is_stopped_as_long_after_its_last_gate():
+    driven, world = race(lambda step: 0.5 if step < 60 else -1.0)
+    gap = world.track.length / world.track.gate_count
+    patience = math.ceil(10 * gap / (50.8 * 0.1) + 10 / 0.1)
+    assert patience < driven.lap_steps < patience + 60
+    assert 0 < driven.progress < 0.5
+
+
+def test_a_slow_car_may_finish_its_lap():
+    """At a sixth of full speed, where a car of one speed may take two laps' time."""
+    driven, world = race(lambda step: 0.5 if step < 10 else 0.0, max_acceleration=4.0, max_speed=12.0)
+    assert driven.lap_completed
+    assert driven.lap_steps > 5 * world.track.length / (12.0 * 0.1)

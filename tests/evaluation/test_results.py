@@ -1,16 +1,32 @@
 """Results of a network on several circuits, figures of many drives, and intervals against numbers worked by hand."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
+import torch
 
-from carrl.evaluation.baselines import rule_policy
-from carrl.evaluation.results import EvaluationResult, aggregate, mean_interval, rate_interval, share_interval
+from carrl.errors import ConfigError
+from carrl.evaluation.baselines import rule_of, rule_policy
+from carrl.evaluation.results import EvaluationResult, Rollout, aggregate, mean_interval, rate_interval, share_interval
 from carrl.evaluation.rollout import rollout_laps
+from carrl.sim.kinematic import Kinematic
+from carrl.sim.sensor import Sensor
+from carrl.task.action import ContinuousActions
+from tests.sim.vehicles import Cart
 from tests.worlds import make_world
 
 Z = 1.959964
+PEDALS = ContinuousActions(("steer", "pedal"))
+NEWER = ("steering_change", "mean_speed", "distance", "speeds")
+
+
+@dataclass(frozen=True)
+class Hovercraft(Cart):
+    """A car that is lifted."""
+
+    control_names = ("steer", "lift")
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +52,7 @@ def test_a_lap_counts_when_every_circuit_was_lapped(lap, crash):
     trial = EvaluationResult((lap, crash, lap))
     assert not trial.lap_completed
     measures = trial.measures()
-    assert (measures["circuits"], measures["laps_completed"]) == (3, 2)
+    assert (measures["drives"], measures["laps_completed"]) == (3, 2)
     assert (measures["lap_completed"], measures["collided"]) == (False, True)
     assert measures["progress"] == pytest.approx(2.5 / 3)
     assert trial.shown == 1
@@ -113,3 +129,64 @@ def test_the_mean_of_three_values_has_students_interval():
 
 def test_one_value_has_no_interval():
     assert mean_interval([1.0]) is None
+
+
+# Cars whose speed varies, and actions that are numbers
+
+
+@pytest.fixture(scope="module")
+def pedals_lap():
+    """A lap of the paper's track by the rule in a car with pedals that starts at rest."""
+    world, policy = rule_of(make_world(vehicle=Kinematic(), sensor=Sensor(rays=9, max_range=30.0), action=PEDALS))
+    (found,) = rollout_laps(world, world.simulator(world.track), policy)
+    return found
+
+
+def test_the_rule_laps_with_pedals_and_how_it_drove_is_told_by_speed_and_steering(pedals_lap):
+    assert pedals_lap.lap_completed and not pedals_lap.collided
+    ways = np.linalg.norm(np.diff(pedals_lap.poses[:, :2].astype(float), axis=0), axis=1)
+    assert pedals_lap.distance == pytest.approx(ways.sum())
+    assert pedals_lap.mean_speed == pytest.approx(ways.sum() / (0.1 * pedals_lap.lap_steps))
+    speeds = pedals_lap.speeds.astype(float)
+    assert speeds[0] == 0 and ways == pytest.approx(0.05 * (speeds[1:] + speeds[:-1]), rel=0.01)
+    assert pedals_lap.steering_change == pytest.approx(np.abs(np.diff(pedals_lap.actions[:, 0])).mean(), rel=1e-5)
+    assert not {"forward_share", "switches_per_100m", "reversals"} & pedals_lap.measures().keys()
+    figures = aggregate([[pedals_lap]], step_length=2.0)
+    assert figures["driven_km"] == pytest.approx(ways.sum() / 1000)
+    assert (figures["mean_speed"], "forward_share" in figures) == (pedals_lap.mean_speed, False)
+
+
+def test_of_two_laps_with_pedals_the_faster_one_is_better_and_a_lap_better_than_none(pedals_lap):
+    slower = replace(pedals_lap, mean_speed=pedals_lap.mean_speed / 2, lap_reward=1e6)
+    crash = replace(pedals_lap, lap_completed=False, progress=0.9, mean_speed=99.0)
+    qualities = [EvaluationResult((drive,)).quality for drive in (crash, slower, pedals_lap)]
+    assert qualities == sorted(qualities) and qualities[1] < qualities[2]
+
+
+def test_a_drive_with_speeds_comes_back_from_its_state_and_one_of_an_older_version_too(pedals_lap, lap):
+    back = Rollout.from_state_dict(pedals_lap.state_dict())
+    assert back.measures() == pedals_lap.measures() and (back.speeds == pedals_lap.speeds).all()
+    old = {name: value for name, value in lap.state_dict().items() if name not in NEWER}
+    assert Rollout.from_state_dict(old).measures() == lap.measures()
+    assert (lap.mean_speed, lap.distance, lap.steering_change, lap.speeds) == (None,) * 4
+
+
+def test_a_car_that_stands_still_has_no_collisions_and_no_infinite_rate():
+    world = make_world(vehicle=Cart(), action=PEDALS)
+    (stands,) = rollout_laps(world, world.simulator(world.track), lambda seen: torch.tensor([[0.0, -1.0]] * len(seen)))
+    assert (stands.progress, stands.mean_speed, stands.distance) == (0.0, 0.0, 0.0)
+    assert aggregate([[stands]], 2.0)["collisions_per_km"] == 0
+
+
+def test_a_car_that_the_rule_does_not_know_is_refused():
+    world = make_world(vehicle=Hovercraft(), action=ContinuousActions(("steer", "lift")))
+    with pytest.raises(ConfigError, match=r"the rule drives cars with steer, or with a speed and some of .*Hovercraft"):
+        rule_of(world)
+
+
+@pytest.mark.parametrize(("push", "throttle", "brake"), [(1.0, 1, -1), (0.5, 0, -1), (-1.0, -1, 1), (0.0, -1, -1)])
+def test_the_rule_pushes_two_pedals_as_it_does_one(push, throttle, brake):
+    from carrl.evaluation.baselines import _PEDALS
+
+    pressed = {name: function(torch.tensor(push)).item() for name, function in _PEDALS.items()}
+    assert pressed == {"pedal": push, "throttle": throttle, "brake": brake}

@@ -18,6 +18,7 @@ from PIL import Image
 from carrl.errors import CarrlError
 from carrl.export.page import replay_page, write_replay_page
 from carrl.log.trace import EpisodeTrace
+from carrl.render.colours import LIGHT
 
 sync_api = pytest.importorskip(
     "playwright.sync_api", reason="driving a browser needs playwright; pip install playwright"
@@ -651,3 +652,93 @@ def test_a_long_circuit_gets_a_close_up_of_the_car(open_page, trace):
     scene = replace(trace.scene, tracks=(replace(track, **far),))
     page = open_page(replace(trace, scene=scene))
     assert coloured(picture(page), GREEN).sum() > 150  # the rays, which on the whole track are 8 pixels long
+
+
+# A car with pedals
+
+
+SHADES = LIGHT.speed_shades
+
+
+def test_the_readings_of_a_car_with_pedals_are_its_controls_its_speed_and_its_motion(open_page, pedals):
+    page = open_page(pedals, link="#step=3")
+    assert text(page, "read-action").split("\n") == ["steer +0.50", "pedal +0.50"]
+    assert text(page, "read-speed") == "6.0 m/s · 22 km/h"
+    assert text(page, "read-yaw_rate") == "0.25 rad/s"
+    assert text(page, "read-slip") == "0.03 rad"
+    assert text(page, "legend").split() == ["speed", "0.0", "7.0", "m/s"]
+    assert not page.locator("#values").is_visible()
+    page.keyboard.press("End")
+    assert (text(page, "read-speed"), text(page, "read-action")) == ("4.5 m/s · 16 km/h", "unfinished")
+
+
+def test_a_car_without_pedals_has_no_instruments(open_page):
+    page = open_page()
+    assert not page.locator("#instruments").is_visible()
+    assert "forward" in text(page, "legend") and "m/s" not in text(page, "legend")
+
+
+def test_the_wheel_turns_to_the_side_that_is_steered_to(open_page, pedals):
+    page, tops = open_page(pedals), []
+    for step in (0, 4, 7):  # straight on, to the left, to the right
+        page.evaluate("(step) => { location.hash = `step=${step}`; }", step)
+        page.locator("#read-step", has_text=re.compile(f"^{step}$")).wait_for()
+        dials = picture(page, "dials")
+        wheel = dials[:, : dials.shape[1] // 3]
+        tops.append(centre(coloured(wheel, GREEN))[0] - centre(coloured(wheel, "#1a2126"))[0])
+    assert tops[1] < -10 < tops[0] < 10 < tops[2]
+
+
+def test_the_pedals_are_as_far_down_as_the_control_says(open_page, pedals):
+    page, heights = open_page(pedals), []
+    for step, colour in ((0, GREEN), (3, GREEN), (5, "#b8397f"), (6, "#b8397f")):
+        page.evaluate("(step) => { location.hash = `step=${step}`; }", step)
+        page.locator("#read-step", has_text=re.compile(f"^{step}$")).wait_for()
+        dials = picture(page, "dials")
+        third = dials.shape[1] // 3
+        heights.append(coloured(dials[:, third : 2 * third], colour).any(axis=1).sum())
+    full = heights[0]
+    assert heights == pytest.approx([full, full / 2, full / 2, full], abs=2)
+
+
+def test_the_dot_of_the_accelerations_is_at_the_side_the_car_is_pressed_to(open_page, pedals):
+    page = open_page(pedals, link="#step=5")
+    dials = picture(page, "dials")
+    friction = dials[:, 2 * dials.shape[1] // 3 :]
+    column, row = centre(coloured(friction, VERMILLION))
+    middle = np.array(friction.shape[1::-1]) / 2 - (0, 8)
+    assert column < middle[0] - 10  # 7 m/s2 to the left
+    assert abs(row - middle[1]) < 4  # the speed stays
+    assert coloured(friction, "#b8397f", 40).any()  # the circle of friction
+
+
+def test_the_line_of_a_car_whose_speed_varies_has_the_colours_of_its_speed(open_page, pedals):
+    page = open_page(pedals, link="#step=8")
+    pixels = picture(page)
+    for step, shade in ((1, 6), (2, 13)):  # the car stands on the others
+        x, y = (pedals.poses[step, :2] + pedals.poses[step + 1, :2]) / 2
+        assert coloured(around(page, pixels, x, y, 1), SHADES[shade], 12).any()
+
+
+def test_the_rectangle_is_drawn_to_scale_with_its_heading(open_page, pedals):
+    page = open_page(pedals, link="#step=8")
+    pixels = picture(page)
+    (x, y, heading), size = pedals.poses[8], np.array([2.0, 0.9])
+    ahead, aside = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    for along, across, inside in ((-0.8, 0.7, True), (-0.8, -0.7, True), (-1.2, 0.0, False), (-0.5, 1.4, False)):
+        place = np.array([x, y]) + along * size[0] * ahead + across * size[1] * aside
+        assert coloured(around(page, pixels, *place, 1), CAR).any() == inside
+
+
+def test_a_click_on_the_speed_goes_to_its_step(open_page, pedals):
+    page = open_page(pedals)
+    box = page.locator("#speed-chart").bounding_box()
+    page.mouse.click(box["x"] + 44 + (box["width"] - 60) / 2, box["y"] + box["height"] / 2)
+    assert state(page, "step") == 4
+
+
+def test_a_page_without_rays_has_no_chart_of_them(open_page, pedals):
+    blind = replace(pedals, scene=replace(pedals.scene, observation=(), sensor_angles=np.zeros(0)))
+    page = open_page(blind, link="#step=2")
+    assert not page.locator("#sensors").is_visible()
+    assert text(page, "read-step") == "2"

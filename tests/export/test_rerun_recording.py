@@ -12,6 +12,7 @@ from PIL import Image
 from carrl.errors import CarrlError
 from carrl.log.trace import EpisodeTrace
 from carrl.render.colours import DARK, rgb
+from tests.driven_episode import MOUNT
 from tests.export.headless_viewer import headless_viewer
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
@@ -95,6 +96,25 @@ def test_the_way_of_a_step_appears_once_it_is_driven_in_the_colour_of_its_action
     ways = np.array(trail["LineStrips2D:strips"])[:, 0]
     np.testing.assert_allclose(ways, np.stack([trace.poses[:-1, :2], trace.poses[1:, :2]], axis=1), rtol=1e-6)
     assert [row[0] for row in trail["LineStrips2D:colors"]] == [packed(ACTIONS[action]) for action in trace.actions]
+
+
+def test_a_car_with_pedals_has_its_numbers_as_series_by_name_and_its_outline(pedals, tmp_path):
+    write_recording(tmp_path / "pedals.rrd", pedals, "pedals")
+    recording = Recording(tmp_path / "pedals.rrd")
+    assert "/choice" in recording.rows
+    np.testing.assert_allclose(np.array(recording.rows["/action"]["Scalars:scalars"]), pedals.controls, rtol=1e-6)
+    for name, entries in {"speed": ["speed"], "angles": ["slip", "steering"]}.items():
+        found = np.array(recording.rows[f"/{name}"]["Scalars:scalars"]).reshape(9, -1)
+        np.testing.assert_allclose(found, np.column_stack([pedals.state(entry) for entry in entries]), rtol=1e-6)
+    outline = np.array(recording.rows["/car/outline"]["LineStrips2D:strips"])[:, 0]
+    sides = np.linalg.norm(np.diff(outline, axis=1), axis=2)
+    np.testing.assert_allclose(sides, [[4.0, 1.8, 4.0, 1.8]] * 9, rtol=1e-5)
+    np.testing.assert_allclose(outline[:, :4].mean(axis=1), pedals.poses[:, :2], rtol=1e-5)
+    rays = np.array(recording.rows["/car/rays"]["LineStrips2D:strips"])[:, 0, 0]
+    np.testing.assert_allclose(np.linalg.norm(rays - pedals.poses[:, :2], axis=1), MOUNT, rtol=1e-5)
+    colours = [row[0] for row in recording.rows["/car/trail"]["LineStrips2D:colors"]]
+    assert colours[4] == packed(rgb(DARK.speed_shades[-1]))
+    assert colours[0] == packed(rgb(DARK.speed_shades[0]))
 
 
 def test_steps_and_times_count_from_the_beginning_of_the_episode(recording, trace, tmp_path):

@@ -12,6 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from carrl.errors import CarrlError
 from carrl.log.trace import EpisodeTrace
 from carrl.render.colours import DARK, rgb
+from tests.driven_episode import MOUNT
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
 
@@ -199,3 +200,16 @@ def test_without_foxglove_one_is_told_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(CarrlError, match=r"need foxglove-sdk, which is not installed; pip install 'carrl\[export\]'"):
         importlib.import_module("carrl.export.foxglove")
+
+
+def test_a_car_with_pedals_is_a_box_and_its_numbers_have_their_names(pedals, tmp_path):
+    write_viewer_log(tmp_path / "pedals.mcap", pedals, "pedals")
+    log = ViewerLog(tmp_path / "pedals.mcap")
+    actions = [(message.steer, message.pedal) for message in log.messages["/action"]]
+    np.testing.assert_allclose(actions, pedals.controls, rtol=1e-6)
+    np.testing.assert_allclose([message.speed for message in log.messages["/speed"]], pedals.state("speed"), rtol=1e-6)
+    assert {"/angles", "/accelerations", "/yaw_rate", "/choice"} <= set(log.messages)
+    (entity,) = log.messages["/car"][0].entities
+    assert (len(entity.cylinders), [(cube.size.x, cube.size.y) for cube in entity.cubes]) == (0, [(4.0, 1.8)])
+    scan = log.messages["/car/scan"][0]
+    assert (scan.pose.position.x, scan.pose.position.y) == (MOUNT, 0)

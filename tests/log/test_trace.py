@@ -1,8 +1,10 @@
 """One episode of a log, and the world it was driven in, as the views see them."""
 
+import dataclasses
 import json
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -16,13 +18,16 @@ from carrl.errors import DamagedLogError, LogError
 from carrl.log import Column, Log, read_trace
 from carrl.log.messages import Episode
 from carrl.log.scene import ObservationPart, Scene, TrackShape
-from carrl.log.trace import read_scene
+from carrl.log.trace import read_scene, with_choices
 from carrl.log.writer import LogWriter
+from carrl.sim.kinematic import Kinematic
+from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ContinuousActions
 from carrl.task.episode import Start
 from carrl.task.reward import Collision, Gate, Reward
 from carrl.train.callbacks import describe_run, log_schema, scene_of
+from tests.driven_episode import SPEED
 from tests.logs import dqn_columns, make_schema
 
 ROUNDS = 60
@@ -63,6 +68,10 @@ def driven(tmp_path_factory):
         return state.set("action", torch.tensor([(1, 0, 2)[number % 3], 0]))
 
     return path, env, drive(path, env, log_schema(env, dqn_columns()), 10, choose)
+
+
+EPISODE = {".csv": [], ".npz": [], ".html": ["--episode", "0"], ".gif": ["--episode", "0"]}
+"""Flags of an export to a file with this ending."""
 
 
 def assert_true(trace, steps):
@@ -256,6 +265,10 @@ def test_a_log_that_tells_everything_gives_a_trace(tmp_path, transitions):
         ({"observation": '[["far", 4, 0, 1], ["rays", 7, 0, 1]]'}, "it has 7 readings for 7 rays"),
         ({"gates": 2}, "episode 0 passed gates that its track does not have"),
         ({"gates": -1}, "episode 0 passed gates that its track does not have"),
+        ({"body_size_m": "[4]"}, "'body_size_m' is [4.0]; it must be a length and a width"),
+        ({"body_size_m": "[4, 0]"}, "it must be a length and a width"),
+        ({"sensor_mount_m": '"front"'}, "'sensor_mount_m' is 'front'"),
+        ({"friction": "0"}, "'friction' is 0.0; it must be positive"),
         ({"sensor_range_m": "-1"}, "'sensor_range_m' is -1.0; it must be positive"),
         ({"time_step_s": "NaN"}, "'time_step_s' is nan"),
         ({"body_radius_m": '"wide"'}, "'body_radius_m' is 'wide'"),
@@ -287,3 +300,87 @@ def test_a_track_shape_needs_finite_numbers():
             b'{"name": "t", "length": NaN, "centreline": [[0, 0]], '
             b'"walls": [[[0, 0], [1, 0]]], "gates": [[[0, 0], [0, 1]]]}'
         )
+
+
+def test_what_a_scene_says_of_a_car_with_pedals_comes_back(pedals):
+    assert Scene.from_entries(pedals.scene.entries(), ()).entries() == pedals.scene.entries()
+    back = Scene.from_entries(pedals.scene.entries(), ())
+    assert (back.body_size, back.sensor_mount, back.friction) == ((4.0, 1.8), 1.5, 1.2)
+    disc = dataclasses.replace(pedals.scene, body_size=None, sensor_mount=0.0, friction=None)
+    assert not {"body_size_m", "sensor_mount_m", "friction"} & disc.entries().keys()
+
+
+def test_the_newest_of_several_scans_is_what_the_rays_read_and_without_any_there_are_none():
+    angles = np.zeros(3)
+    scene = Scene(
+        (),
+        ("steer",),
+        (ObservationPart("speed", 1, -9, 9), ObservationPart("scans", 6, 0, 1)),
+        (),
+        angles,
+        10.0,
+        0.1,
+        0.5,
+        (),
+    )
+    assert scene.rays == slice(1, 4)
+    other = dataclasses.replace(scene, observation=(ObservationPart("speed", 1, -9, 9),))
+    assert len(with_choices(other).sensor_angles) == 0
+    with pytest.raises(ValueError, match="it has no reading for each of 3 rays among 7 of scans"):
+        _ = dataclasses.replace(scene, observation=(ObservationPart("scans", 7, 0, 1),)).rays
+
+
+def test_values_of_the_state_have_their_names(pedals):
+    assert pedals.speeds.tolist() == SPEED.tolist()
+    assert pedals.state("steering")[5] == pytest.approx(0.4)
+    assert pedals.state("wings") is None
+    steady = dataclasses.replace(
+        pedals,
+        columns={
+            **pedals.columns,
+            **{name: np.where(np.arange(9) == 3, 5.0, pedals.columns[name]) for name in ("state", "next_state")},
+        },
+    )
+    assert steady.speeds is None and steady.state("speed").tolist() == [5.0] * 9
+    np.testing.assert_allclose(np.linalg.norm(pedals.origins - pedals.poses[:, :2], axis=1), 1.5)
+    np.testing.assert_allclose(
+        pedals.ray_ends()[:, 0] - pedals.origins,
+        pedals.ranges[:, :1]
+        * np.column_stack([np.cos(pedals.poses[:, 2] - np.pi / 2), np.sin(pedals.poses[:, 2] - np.pi / 2)]),
+        atol=1e-12,
+    )
+
+
+def test_a_log_of_a_car_with_pedals_is_read_by_every_verb_and_written_in_every_format(tmp_path, capsys):
+    action = ContinuousActions(("steer", "pedal"))
+    sensor = Sensor(rays=7, max_range=30.0, mount=1.2)
+    env = carrl.TrackEnv("oval", num_envs=2, seed=0, max_steps=30, vehicle=Kinematic(), sensor=sensor, action=action)
+    schema = log_schema(env, [Column("log_prob", "log_prob", "float64", (), "log probability of the action")])
+    path = tmp_path / "train.mcap"
+    steps = drive(path, env, schema, ROUNDS, lambda _, state: env.rand_action(state))
+    with Log(path) as log:
+        trace = read_trace(log, 0)
+    assert_true(trace, steps)
+    scene = trace.scene
+    assert (scene.body_size, scene.sensor_mount, scene.friction) == ((4.508, 1.61), 1.2, 1.0489)
+    first = [step[0]["action"] for step in steps[: len(trace)]]
+    np.testing.assert_array_equal(trace.controls, torch.stack(first).double().numpy())
+    for verb in (["info"], ["ls"], ["show"], ["stats"], ["cat", "--limit", "2"], ["check"]):
+        for flags in ([], ["--json"]):
+            capsys.readouterr()
+            assert main(["log", verb[0], str(path), *verb[1:], *flags]) == 0
+            out = capsys.readouterr().out
+            if verb == ["stats"] and flags:
+                counts = json.loads(out)["controls"]
+                every = torch.cat([step["action"] for step in steps]).numpy()
+                edges = np.linspace(-1, 1, 9)
+                for index, name in enumerate(("steer", "pedal")):
+                    expected = [int(((a <= every[:, index]) & (every[:, index] < b)).sum()) for a, b in pairwise(edges)]
+                    assert counts[name]["counts"] == expected
+    assert main(["log", "stats", str(path), "--png", str(tmp_path / "stats.png")]) == 0
+    for ending in (".csv", ".npz", ".html", ".gif"):
+        assert main(["log", "export", str(path), str(tmp_path / f"out{ending}"), *EPISODE[ending]]) == 0
+    heading, row = (tmp_path / "out.csv").read_text().splitlines()[:2]
+    values = dict(zip(heading.split(","), row.split(","), strict=True))
+    assert np.float32(values["action_pedal"]) == first[0][1].item()
+    assert {"state_speed", "next_state_lateral_acceleration", "log_prob"} <= values.keys()

@@ -308,3 +308,49 @@ def test_the_arrow_of_a_start_in_a_corner_points_along_the_road(tmp_path):
     )
     around = dark[int(top) - 60 : int(top) + 60, int(left) - 40 : int(left) + 80]
     assert around.sum(axis=1).max() > 35
+
+
+def test_a_line_by_speed_has_a_bar_of_its_colours_instead_of_actions(tmp_path, paper, lap):
+    poses = lap[0]
+    speeds = np.linspace(5.0, 25.0, len(poses))
+    draw(tmp_path / "speed.png", paper, *lap, speeds=speeds)
+    draw(tmp_path / "steady.png", paper, *lap, speeds=np.full(len(poses), 10.0))
+    draw(tmp_path / "action.png", paper, *lap)
+    by_speed, steady, by_action = (read_pixels(tmp_path / f"{name}.png") for name in ("speed", "steady", "action"))
+    shades = [count_of(by_speed, shade) for shade in LIGHT.speed_shades]
+    assert min(shades) > 20  # the bar has them all
+    assert count_of(by_speed, LIGHT.actions[1]) == 0 < count_of(by_action, LIGHT.actions[1])
+    np.testing.assert_array_equal(steady, by_action)
+
+
+def test_a_drive_by_numbers_needs_no_names(tmp_path, paper, lap):
+    poses, ranges, actions = lap
+    draw_lap(
+        tmp_path / "numbers.png",
+        paper,
+        poses,
+        ranges,
+        Sensor().angles.numpy(),
+        np.zeros((len(actions), 2), dtype=np.float32),
+        action_names=(),
+        body_radius=0.8,
+        body_size=(4.0, 1.6),
+        sensor_mount=1.0,
+        sensor_range=10.0,
+        title="a drive",
+    )
+    assert count_of(read_pixels(tmp_path / "numbers.png"), LIGHT.car) > 100
+
+
+def test_rays_begin_at_their_mount():
+    ends = ray_ends(np.array([1.0, 2.0, np.pi / 2]), np.array([3.0]), np.array([0.0]), mount=0.5)
+    np.testing.assert_allclose(ends, [[1.0, 5.5]], atol=1e-12)
+
+
+def read_pixels(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+def count_of(pixels, colour):
+    return int((np.abs(pixels - rgb(colour)).max(axis=-1) <= 2).sum())

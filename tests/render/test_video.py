@@ -11,7 +11,7 @@ from PIL import Image
 
 from carrl.errors import CarrlError
 from carrl.log.trace import EpisodeTrace
-from carrl.render.colours import GREEN, VERMILLION, YELLOW
+from carrl.render.colours import BLUE, GREEN, LIGHT, VERMILLION, YELLOW, rgb
 from carrl.render.encoding import gif_palette
 from carrl.render.video import motion_of, write_video
 
@@ -22,6 +22,8 @@ SCALE = (664 - 2 * 34) / 20
 """Pixels per metre of the track of the fixture, which is 20 m high, in the picture's area of 664 pixels."""
 MIDDLE = np.array([450, 388])
 """The picture's place of the track's middle, (10 m, 10 m)."""
+PEDALLED = ((1, GREEN), (6, VERMILLION))
+"""Steps in which a pedal is fully down, and the colour of its bar."""
 
 
 @pytest.fixture(scope="module")
@@ -220,3 +222,18 @@ def test_without_pyav_the_error_says_what_to_install(trace, tmp_path, monkeypatc
 def test_a_video_is_written_without_torch():
     code = "import sys, carrl.render.video; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_the_panel_of_a_car_with_pedals_has_a_bar_for_each_control_and_its_speed(pedals, tmp_path):
+    write_video(tmp_path / "episode.mp4", pedals, "pedals")
+    with av.open(tmp_path / "episode.mp4") as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    throttle, brake = (like(pictures[3 * step][150:190, 1015:1175], colour).sum() for step, colour in PEDALLED)
+    assert throttle > 600 and brake > 600
+    left = like(pictures[3 * 4][120:150, 1015:1175], BLUE)
+    right = like(pictures[3 * 7][120:150, 1015:1175], BLUE)
+    assert left[:, :80].sum() > 600 > 20 > left[:, 82:].sum()  # to the left is at the left
+    assert right[:, 80:].sum() > 300 > 20 > right[:, :78].sum()
+    shades = {tuple(rgb(shade)) for shade in LIGHT.speed_shades}
+    scale = pictures[6][190:260, 1100:1256].reshape(-1, 3).astype(int)
+    assert sum(np.abs(scale - shade).max(axis=1).min() < 16 for shade in shades) == len(shades)

@@ -9,7 +9,7 @@ from carrl.report.curve_figures import lap_profiles, return_curves, score_profil
 from carrl.report.document import as_json, groups_csv, runs_csv
 from carrl.report.findings import find
 from carrl.report.measures import FINAL_RETURN
-from carrl.report.text import report_text
+from carrl.report.text import report_text, runs_table
 from tests.run_folders import LOSSES, write_config, write_hydra, write_offline_run, write_run, write_sweep
 
 
@@ -212,3 +212,30 @@ def test_names_that_could_steer_a_terminal_are_printed_escaped(tmp_path):
     text = report_text(find([tmp_path]))
     assert "\x1b" not in text
     assert r"a\x1b[2J\|b" in text
+
+
+def test_runs_of_cars_with_pedals_are_compared_by_speed_and_steering(tmp_path):
+    style = {"forward_share": None, "switches_per_100m": None, "reversals": None}
+    for seed in range(3):
+        for name, speed in (("dqn", 20.0), ("double_dqn", 30.0)):
+            folder = tmp_path / name / str(seed)
+            write_run(
+                folder, seed, drive=style | {"mean_speed": speed + seed, "steering_change": 0.1}, loss=LOSSES[name]
+            )
+            drop_nones(folder)
+    findings = find([tmp_path])
+    assert {figure for figures in findings.figures for figure in figures} >= {"mean_speed", "steering_change"}
+    comparison = comparison_of(findings, "mean_speed")
+    assert (comparison.first, comparison.probability.value) == ("loss.double_dqn=true", 1.0)
+    table = runs_table(findings.runs)
+    assert "mean speed, m/s | steering change" in table and "forward share" not in table
+    assert "| 32.0 | 0.100 |" in table
+    assert "forward" not in groups_csv(findings).splitlines()[0]
+
+
+def drop_nones(folder):
+    """Leaves what a drive does not have out of the run's summary, as a run does."""
+    path = folder / "summary.json"
+    summary = json.loads(path.read_text())
+    summary["evaluation"] = {name: value for name, value in summary["evaluation"].items() if value is not None}
+    path.write_text(json.dumps(summary))

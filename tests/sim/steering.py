@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from carrl.sim.simulator import Outcome
+from carrl.sim.simulator import CarState, Outcome
 from carrl.task.action import steer3
 
 ACTIONS = FORWARD, LEFT, RIGHT = range(3)
@@ -15,4 +15,9 @@ def steer(actions: Tensor) -> Tensor:
 
 def tensors(outcome: Outcome) -> list[Tensor]:
     """All of it: state, next gate, gates since the start, track; ranges, collisions, gates of the step."""
-    return [*vars(outcome.cars).values(), outcome.ranges, outcome.collided, outcome.gates_passed]
+    return [*tensors_of(outcome.cars), outcome.ranges, outcome.collided, outcome.gates_passed]
+
+
+def tensors_of(cars: CarState) -> list[Tensor]:
+    """All of the cars' state that is kept."""
+    return [values for values in vars(cars).values() if values is not None]

@@ -9,6 +9,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -25,7 +26,7 @@ from carrl.sim.simulator import CarState, Simulator
 from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
 from carrl.tracks.track import Track, builtin_names
 from tests.sim.shapes import random_poses, random_track
-from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer, tensors
+from tests.sim.steering import ACTIONS, FORWARD, LEFT, RIGHT, steer, tensors, tensors_of
 from tests.sim.vehicles import Interpreted, Odometer
 
 exactly = settings(derandomize=True, deadline=None, max_examples=60)
@@ -73,7 +74,8 @@ def geometry_of(walls: Tensor, reach: float) -> CollisionGeometry:
 
 
 def kernels_among(walls: Tensor, angles: Tensor, max_range: float = 20.0) -> Kernels:
-    return Kernels(geometry_of(walls, max(max_range, 1.5)), angles, max_range, Vehicle(), most_gates=1)
+    sensor = SimpleNamespace(angles=angles, rays=len(angles), max_range=max_range, mount=0)
+    return Kernels(geometry_of(walls, max(max_range, 1.5)), sensor, Vehicle(), most_gates=1)
 
 
 def sense_among(walls: Tensor, angles: Tensor, pose: Tensor, max_range: float = 20.0) -> Tensor:
@@ -236,9 +238,7 @@ def test_outputs_are_new_tensors_of_the_stated_types():
     assert all(map(torch.equal, tensors(first), kept))
     types = [torch.float32, torch.int64, torch.int64, torch.int64, torch.float32, torch.bool, torch.int64]
     assert [tensor.dtype for tensor in tensors(first)] == types
-    assert (
-        len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *vars(state).values(), control]}) == 11
-    )
+    assert len({tensor.untyped_storage().data_ptr() for tensor in [*tensors(first), *tensors_of(state), control]}) == 11
 
 
 def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
@@ -246,7 +246,7 @@ def test_inputs_of_another_layout_or_type_give_the_same_and_compile_nothing():
     state, control = random_cars(simulator, 6, seed=7)
     expected = simulator.step(state, control)
     strided = state.map(lambda values: torch.stack([values, values], -1)[..., 0])
-    assert not any(tensor.is_contiguous() for tensor in vars(strided).values())
+    assert not any(tensor.is_contiguous() for tensor in tensors_of(strided))
     wide = state.map(lambda values: values.double() if values.is_floating_point() else values.int())
     with event.install_recorder("numba:compile") as compilations:
         for other in (strided, wide):
@@ -269,7 +269,7 @@ def test_a_pose_that_is_no_number_spoils_nothing_else():
 def test_inputs_of_unequal_numbers_of_cars_are_refused(short: int):
     simulator = Simulator(Track.load("oval"), Vehicle(), Sensor())
     state, control = random_cars(simulator, 3, seed=9)
-    inputs = [tensor[:2] if index == short else tensor for index, tensor in enumerate([*vars(state).values(), control])]
+    inputs = [tensor[:2] if index == short else tensor for index, tensor in enumerate([*tensors_of(state), control])]
     with pytest.raises(ValueError, match="the same number of cars"):
         simulator.step(CarState(*inputs[:4]), inputs[4])
     with pytest.raises(ValueError, match="begin with a pose"):

@@ -2,26 +2,13 @@
 
 import math
 
-import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from carrl.errors import ConfigError
-from carrl.sim.driven import MOTION, DrivenCar
+from carrl.sim.driven import MOTION
 from carrl.sim.kinematic import Kinematic
-
-
-def at(car: DrivenCar, **values: float) -> Tensor:
-    """One car with these values, the others 0, in double precision."""
-    return torch.tensor([[values.get(name, 0.0) for name in car.state_names]], dtype=torch.float64)
-
-
-def drive(car: DrivenCar, state: Tensor, *control: float, steps: int = 1) -> dict[str, float]:
-    """The last state by name."""
-    for _ in range(steps):
-        state = car.step(state, torch.tensor([control], dtype=torch.float64))
-    return dict(zip(car.state_names, state[0].tolist(), strict=True))
+from tests.sim.cars import at, by_kernel, drive, random_controls, random_starts
 
 
 def test_full_braking_takes_the_square_of_the_speed_by_twice_the_braking():
@@ -98,11 +85,10 @@ def test_the_steering_range_narrows_with_the_speed_to_a_fifth_of_the_lock(speed:
 def test_the_machine_code_computes_what_torch_does(options: dict[str, str]):
     car = Kinematic(**options)
     generator = torch.Generator().manual_seed(0)
-    state = car.initial_state(torch.randn(500, 3, generator=generator), 40 * torch.rand(500, generator=generator))
+    state = random_starts(car, 500, generator)
     for _ in range(60):
-        control = 2 * torch.rand(500, len(car.control_names), generator=generator) - 1
-        after = car.step(state, control)
-        compiled = torch.from_numpy(car.kernel(state.numpy(), control.numpy(), np.array(car.constants)))
+        control = random_controls(car, 500, generator)
+        after, compiled = car.step(state, control), by_kernel(car, state, control)
         torch.testing.assert_close(compiled, after, atol=1e-6, rtol=2**-23)
         assert after.dtype == torch.float32
         state = compiled

@@ -12,8 +12,14 @@ from carrl import ContinuousActions, DiscreteActions, GymTrackEnv, Sensor, Start
 from carrl.errors import ConfigError
 from carrl.evaluation.baselines import random_policy, rule_policy
 from carrl.evaluation.rollout import rollout_laps
-from carrl.task.observation import Observation, Part
+from carrl.sim.kinematic import Kinematic
+from carrl.task.action import make_table
+from carrl.task.end import End, EndAtContact, NoProgress, RunningBackwards, SlideAlongWall
+from carrl.task.motion import StateEntry, Velocity, WallContact
+from carrl.task.observation import LastAction, Observation, Part, Scans
+from carrl.task.racing import Contact, Progress, SpeedAlong, Time
 from carrl.task.reward import LAP_TERMS, Collision, Gate, Proximity, Reward, Shaping, Steering
+from carrl.task.road import Curvatures, HeadingError, TrackPosition
 from carrl.task.task import make_task
 from carrl.task.trial import try_terms
 from tests.sim.vehicles import Interpreted, Odometer
@@ -35,6 +41,31 @@ PARTS = {
     "continuous": {"action": CONTINUOUS, "observation": rays_and_last_action(), "reward": Reward(TERMS)},
     "odometer": {"vehicle": Odometer(), "observation": rays_and_last_action(), "reward": Reward(TERMS)},
 }
+RACING = {
+    "progress": Progress(0.1),
+    "contact": Contact(-0.2, -0.01),
+    "road": SpeedAlong(0.1, -0.1, -0.1),
+    "time": Time(-0.1),
+    "steering": Steering(switch=-0.1),
+}
+SEEN = {
+    "scans": Scans(3),
+    "velocity": Velocity(20.0),
+    "yaw_rate": StateEntry("yaw_rate"),
+    "last_action": LastAction(),
+    "contact": WallContact(),
+    "angle": HeadingError(),
+    "position": TrackPosition(),
+    "curvatures": Curvatures(count=4),
+}
+STRICT = {"contact": EndAtContact(), "no_progress": NoProgress(steps=10)}
+GENTLE = {"contact": SlideAlongWall(), "no_progress": NoProgress(steps=12), "backwards": RunningBackwards(20.0)}
+TABLE = make_table({"steer": [0.0, 1.0, -0.5], "pedal": [1.0, -1.0]})
+CAR = {"vehicle": Kinematic(max_acceleration=20.0), "observation": Observation(SEEN), "reward": Reward(RACING)}
+PARTS |= {
+    "racing": {**CAR, "action": ContinuousActions(), "end": End(GENTLE), "sensor": Sensor(mount=1.0)},
+    "table": {**CAR, "action": TABLE, "end": End(STRICT), "sensor": Sensor(noise=0.0, max_range=30.0)},
+}
 parts = pytest.mark.parametrize("own", PARTS.values(), ids=PARTS)
 
 
@@ -53,6 +84,7 @@ def test_random_actions_follow_the_seed_and_episodes_end(own):
     assert (first == second).all()
     assert first["next", "truncated"].any() or first["next", "terminated"].any()
     assert len(first["action"].unique()) >= 3
+    assert first["next", "observation"].isfinite().all()
 
 
 @parts

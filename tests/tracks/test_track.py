@@ -68,7 +68,7 @@ def curvature(points: np.ndarray) -> np.ndarray:
 
 
 def test_the_builtin_tracks_are_listed_by_name():
-    assert builtin_names() == ["oval", "paper", "serpentine"]
+    assert builtin_names() == ["oval", "paper", "serpentine", "grand_prix"]
 
 
 @pytest.mark.parametrize("name", builtin_names())
@@ -82,12 +82,21 @@ def test_a_builtin_track_is_a_closed_counter_clockwise_ring_of_evenly_spaced_poi
     assert track.length == pytest.approx(spacing.sum().item(), rel=1e-5)
 
 
-@pytest.mark.parametrize("name", builtin_names())
+@pytest.mark.parametrize("name", ["oval", "paper", "serpentine"])
 def test_no_turn_of_a_builtin_track_is_tighter_than_its_drawing_says(name: str):
     track, drawing = Track.load(name), DRAWINGS[name]
     bends = curvature(track.centreline.double().numpy())
     assert 1 / np.abs(bends).max() >= 0.98 * drawing.corner_radius
     assert 1 / np.abs(bends).max() <= 1.05 * drawing.corner_radius
+
+
+def test_the_grand_prix_track_is_2_7_kilometres_long_with_a_straight_of_400_metres_and_a_hairpin():
+    track = Track.load("grand_prix")
+    bends = curvature(track.centreline.double().numpy())
+    assert track.length == pytest.approx(2738, abs=5)
+    assert 15 < 1 / np.abs(bends).max() < 18
+    straight = np.abs(np.roll(bends, 75)[:200]) < 2e-3  # 150 m before the start line to 250 m after it
+    assert straight.all()
 
 
 @pytest.mark.parametrize("name", ["paper", "serpentine"])

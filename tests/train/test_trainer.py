@@ -226,7 +226,7 @@ def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploratio
     (run,) = trainer.runs
     assert len(run.best.rollouts) == 2
     rows = read_rows(tmp_path / "evaluations.csv")
-    assert [row["circuits"] for row in rows] == ["2", "2"]
+    assert [row["drives"] for row in rows] == ["2", "2"]
     assert float(rows[-1]["progress"]) == pytest.approx(sum(drive.progress for drive in run.last.rollouts) / 2)
 
 

@@ -242,6 +242,6 @@ def _summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _how_far(attempt: Mapping[str, Any]) -> str:
-    if "circuits" in attempt:
-        return f"{attempt['laps_completed']} of {attempt['circuits']} circuits"
+    if "drives" in attempt:
+        return f"{attempt['laps_completed']} of {attempt['drives']} drives"
     return "complete" if attempt["lap_completed"] else f"{attempt['progress']:.0%} of a lap"

@@ -255,6 +255,8 @@ def ray_bars(readings: Floats) -> str:
 
 
 def _nearest(trace: EpisodeTrace, row: int) -> str:
+    if not trace.ranges.shape[1]:
+        return "-"
     ray = int(trace.ranges[row].argmin())
     if trace.ranges[row, ray] >= trace.scene.sensor_range:
         return "out of range"
