@@ -240,3 +240,11 @@ def test_a_loss_leaves_what_was_chosen_besides():
     assert config["target_updater"]["period"] == 500
     assert config["network"]["actor_sizes"] == [8]
     build_pipeline(config).source.close()
+
+
+def test_learning_from_a_log_of_other_controls_is_refused(log, tmp_path, capsys):
+    overrides = ["data=log", f"data.path={log}", "loss=sac", "vehicle=kinematic", "compile=false"]
+    assert main(["train", *overrides, f"hydra.run.dir={tmp_path / 'run'}"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "its actions are numbers for ['steer'], this car's for ['steer', 'pedal']" in error
