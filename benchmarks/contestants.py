@@ -10,7 +10,14 @@ from typing import Any
 
 from benchmarks.child import CARRL, BenchError, run_child
 from benchmarks.figures import Measurement
-from benchmarks.settings import BATCH_SIZE, CARS
+from benchmarks.settings import (
+    ACTOR_CRITIC_BATCH_SIZE,
+    ACTOR_CRITIC_GAMMA,
+    ACTOR_CRITIC_RATES,
+    BATCH_SIZE,
+    CARS,
+    TAU,
+)
 
 SEEDS = 10
 MINIMUM_FRAMES = 512
@@ -27,6 +34,9 @@ class Contestant:
         frames: env steps in one measurement, for each seed; enough for 15 to 25 seconds on a slow core.
         seeds: how many replicates it trains at once.
         train: makes this many env steps with each seed, in a process of its own.
+        batch_size: transitions of an update.
+        peer: the title of the one that its speed is divided by; None for Stable-Baselines3's DQN, of which the faster
+            form counts.
     """
 
     name: str
@@ -34,6 +44,8 @@ class Contestant:
     frames: int
     seeds: int
     train: Callable[[int], Measurement]
+    batch_size: int = BATCH_SIZE
+    peer: str | None = None
 
     def measure(self, frames: int) -> Measurement:
         """Trains, and checks that there was one update for each env step, but for the first ones.
@@ -46,10 +58,10 @@ class Contestant:
         except BenchError as error:
             raise BenchError(f"{self.name}: {error}") from error
         missing = measured.frames - measured.updates
-        if measured.frames < frames * self.seeds or missing > (BATCH_SIZE + CARS) * self.seeds:
+        if measured.frames < frames * self.seeds or missing > (self.batch_size + CARS) * self.seeds:
             raise BenchError(
                 f"{self.name} made {measured.frames} env steps of {frames} with each of {self.seeds} seeds, and "
-                f"{measured.updates} updates; there must be one for each env step, after the first {BATCH_SIZE}"
+                f"{measured.updates} updates; there must be one for each env step, after the first {self.batch_size}"
             )
         return measured
 
@@ -60,9 +72,9 @@ def carrl_overrides(compiled: bool, seeds: int, frames: int, folder: Path | str)
     return [f"compile={str(compiled).lower()}", which, f"trainer.frames={frames}", f"hydra.run.dir={folder}"]
 
 
-def _train_carrl(compiled: bool, seeds: int, frames: int) -> Measurement:
+def _train_carrl(compiled: bool, seeds: int, frames: int, *others: str) -> Measurement:
     with tempfile.TemporaryDirectory() as name:
-        _, errors = run_child([*CARRL, *carrl_overrides(compiled, seeds, frames, name)])
+        _, errors = run_child([*CARRL, *carrl_overrides(compiled, seeds, frames, name), *others])
         warned = [line.strip() for line in errors.splitlines() if "eagerly" in line]
         if compiled and warned:
             raise BenchError(warned[0])
@@ -95,6 +107,33 @@ def _carrl(name: str, title: str, frames: int, *, compiled: bool, seeds: int) ->
     return Contestant(name, title, frames, seeds, partial(_train_carrl, compiled, seeds))
 
 
+def _train_actor_critic(algorithm: str, units: int, frames: int) -> Measurement:
+    overrides = [
+        f"loss={algorithm}",
+        f"loss.gamma={ACTOR_CRITIC_GAMMA}",
+        "loss.actor_rate=1.0",
+        f"network.actor_sizes=[{units},{units}]",
+        f"network.critic_sizes=[{units},{units}]",
+        f"optimizer.lr={ACTOR_CRITIC_RATES[algorithm]}",
+        f"target_updater.tau={TAU}",
+        f"replay_buffer.batch_size={ACTOR_CRITIC_BATCH_SIZE}",
+    ]
+    return _train_carrl(True, 1, frames, *overrides)
+
+
+def _pair(algorithm: str, units: int) -> list[Contestant]:
+    """CarRL's and Stable-Baselines3's form of an algorithm, with two layers of so many units."""
+    suffix = "" if units == 64 else f"-{units}"
+    name, layers = algorithm + suffix, f"layers {units}-{units}"
+    title = f"Stable-Baselines3 {algorithm.upper()}, {layers}, {CARS} cars in one batched VecEnv"
+    shared = {"batch_size": ACTOR_CRITIC_BATCH_SIZE, "peer": title}
+    own = partial(_train_actor_critic, algorithm, units)
+    return [
+        Contestant(name, f"CarRL {algorithm.upper()}, {layers}, compiled", 1_920_000 // units, 1, own, **shared),
+        Contestant(f"sb3-{name}", title, 160_000 // units, 1, partial(_train_peer, f"sb3-{name}"), **shared),
+    ]
+
+
 def _peer(name: str, title: str, frames: int) -> Contestant:
     return Contestant(name, title, frames, 1, partial(_train_peer, name))
 
@@ -113,5 +152,8 @@ CONTESTANTS = {
         _peer("sb3-one-car", SB3["sb3-one-car"], 10_000),
         _peer("sb3-many-cars", SB3["sb3-many-cars"], 20_000),
         _peer("plain-loop", "plain PyTorch loop (as CleanRL does it), one car", 15_000),
+        *(each for algorithm in ACTOR_CRITIC_RATES for each in _pair(algorithm, 64)),
+        *_pair("sac", 256),
     )
 }
+DQN_CONTESTANTS = [name for name, each in CONTESTANTS.items() if each.peer is None]

@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import torch
@@ -12,6 +13,9 @@ import torch
 from benchmarks.figures import Measurement
 from benchmarks.plain_dqn import train_plain
 from benchmarks.settings import (
+    ACTOR_CRITIC_BATCH_SIZE,
+    ACTOR_CRITIC_GAMMA,
+    ACTOR_CRITIC_RATES,
     BATCH_SIZE,
     CAPACITY,
     CARS,
@@ -19,6 +23,7 @@ from benchmarks.settings import (
     HIDDEN_SIZES,
     LEARNING_RATE,
     TARGET_PERIOD,
+    TAU,
     epsilon_after,
 )
 
@@ -39,10 +44,39 @@ def train_sb3_many_cars(frames: int, seed: int) -> Measurement:
     return _train_sb3(TrackVecEnv("paper", CARS, seed=seed), frames, seed)
 
 
+def train_sb3_actor_critic(algorithm: str, units: int, frames: int, seed: int) -> Measurement:
+    """Stable-Baselines3's SAC, TD3 or DDPG on all cars in one batched environment, which steer by numbers."""
+    import stable_baselines3
+
+    from carrl.sb3 import TrackVecEnv
+    from carrl.task.action import ContinuousActions
+
+    env = TrackVecEnv("paper", CARS, seed=seed, action=ContinuousActions(("steer",)))
+    kind = getattr(stable_baselines3, algorithm.upper())
+    model = kind(
+        "MlpPolicy",
+        env,
+        learning_rate=ACTOR_CRITIC_RATES[algorithm],
+        buffer_size=CAPACITY,
+        learning_starts=ACTOR_CRITIC_BATCH_SIZE,
+        batch_size=ACTOR_CRITIC_BATCH_SIZE,
+        tau=TAU,
+        gamma=ACTOR_CRITIC_GAMMA,
+        train_freq=1,
+        gradient_steps=-1,
+        policy_kwargs={"net_arch": [units, units], "optimizer_kwargs": {"fused": True}},
+        seed=seed,
+        device="cpu",
+    )
+    return _measured(model, frames)
+
+
 PEERS: dict[str, Callable[[int, int], Measurement]] = {
     "sb3-one-car": train_sb3_one_car,
     "sb3-many-cars": train_sb3_many_cars,
     "plain-loop": train_plain,
+    **{f"sb3-{algorithm}": partial(train_sb3_actor_critic, algorithm, 64) for algorithm in ACTOR_CRITIC_RATES},
+    "sb3-sac-256": partial(train_sb3_actor_critic, "sac", 256),
 }
 
 
@@ -73,6 +107,11 @@ def _train_sb3(env: Any, frames: int, seed: int) -> Measurement:
         device="cpu",
     )
     model.exploration_schedule = lambda remaining: epsilon_after(round((1 - remaining) * frames))
+    return _measured(model, frames)
+
+
+def _measured(model: Any, frames: int) -> Measurement:
+    """A model's training, from the beginning of `learn` to its end."""
     began = time.perf_counter()
     model.learn(frames, log_interval=None)
     seconds = time.perf_counter() - began

@@ -9,14 +9,15 @@ from typing import Any
 
 from benchmarks import figures, profiling, recipes
 from benchmarks.child import BenchError
-from benchmarks.contestants import CONTESTANTS, MINIMUM_FRAMES, SB3, Contestant
+from benchmarks.contestants import CONTESTANTS, DQN_CONTESTANTS, MINIMUM_FRAMES, SB3, Contestant
 from benchmarks.figures import Measurement
 from benchmarks.machine import describe_machine, machine_line
 from benchmarks.options import Parser, names_of, positive, tell, writable
 
 PROFILED = ("compiled", "compiled-ten")
 NOTES = (
-    "One thread each. Every contestant makes one update of a 16-16-8 network on 128 transitions for each env step.",
+    "One thread each, and one update for each env step: DQN's of a 16-16-8 network on 128 transitions; those of SAC, "
+    "TD3 and DDPG on 256, with the layers that are named, beside Stable-Baselines3's own.",
     "CarRL: the run as it is typed, with its log of every transition and its greedy drives; without imports.",
     "Stable-Baselines3: `learn` alone, without logger or callbacks, with torch's fused Adam as in CarRL.",
     "CleanRL's own package (cleanrl 0.4.8) does not start with the gym that pip picks for it, knows only old Gym "
@@ -56,9 +57,9 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--only",
         type=names_of(list(CONTESTANTS)),
-        default=list(CONTESTANTS),
+        default=DQN_CONTESTANTS,
         metavar="NAME,...",
-        help=f"contestants, of: {names}",
+        help=f"contestants, of: {names}; by default those of DQN",
     )
     parser.add_argument(
         "--scale",
@@ -91,7 +92,8 @@ def _race(contestants: Sequence[Contestant], arguments: argparse.Namespace, tabl
             rounds[contestant.title].append(measured)
             tell(f"round {number} of {arguments.rounds}: {contestant.title}: {measured.frames_per_s:,.0f} frames/s")
     reference = figures.fastest(rounds, list(SB3.values()))
-    print(table(figures.HEADER, [figures.speed_row(title, rounds, reference) for title in rounds]))
+    peers = {each.title: each.peer if each.peer in rounds else None for each in contestants if each.peer}
+    print(table(figures.HEADER, [figures.speed_row(title, rounds, peers.get(title, reference)) for title in rounds]))
     print(f"\nMedians of {arguments.rounds} interleaved rounds; frames, updates and seconds are the median round's.")
     if reference is not None:
         print(f"'times SB3' is against {reference}, its fastest form measured here; 'by round': min..max.")

@@ -28,7 +28,7 @@ from carrl.data.replay_buffer import KEYS
 from carrl.errors import LogError
 from carrl.log import Log, fill
 from carrl.sim.sensor import Sensor
-from carrl.task.action import ActionMap
+from carrl.task.action import ActionMap, in_words
 from carrl.task.task import World
 
 Numbers = NDArray[np.float64]
@@ -73,15 +73,15 @@ class _Memories:
 
     def __init__(self, buffer: TensorDictReplayBuffer, replicates: int, path: Path, action: ActionMap) -> None:
         self._buffer, self._replicates, self._path = buffer, replicates, path
-        self._spec, self._names = action.spec, action.names
+        self._action = action
 
     def extend(self, transitions: TensorDictBase) -> None:
         """Stores transitions [T] once for each replicate, [T, A]."""
-        action = transitions["action"]
-        if not self._spec.expand(action.shape).is_in(action):
+        action, spec = transitions["action"], self._action.spec
+        wanted = (*transitions.batch_size, *spec.shape)
+        if action.shape != wanted or not spec.expand(wanted).is_in(action):
             raise LogError(
-                f"log '{self._path}': has actions {action.min()}..{action.max()}; "
-                f"they must lie in 0..{len(self._names) - 1}, {', '.join(self._names)}"
+                f"log '{self._path}': has actions {action.min()}..{action.max()}; each must be {in_words(self._action)}"
             )
         self._buffer.extend(transitions.select(*KEYS)[:, None].expand(len(transitions), self._replicates))
 
@@ -119,6 +119,13 @@ def _check_actions(log: Log, world: World) -> None:
     if names != own:
         raise LogError(
             f"log '{log.path}': its actions are {names!r:.100}, this car's are {own}; "
+            "give the log of a car with the same"
+        )
+    controls = list(world.action.control_names)
+    found = _entry(log, "control_names", controls)
+    if not own and found != controls:
+        raise LogError(
+            f"log '{log.path}': its actions are numbers for {found!r:.100}, this car's for {controls}; "
             "give the log of a car with the same"
         )
 

@@ -277,9 +277,8 @@ class DQNRecipe:
         """The algorithm with a replicate for each seed.
 
         Raises:
-            ConfigError: a part refuses its values, or is that of another algorithm.
+            ConfigError: a part refuses its values.
         """
-        check_parts(config, _PARTS, actor_critic=False)
         replicates = [self._replicate(config, world, seed, device) for seed in seeds]
         exploration: EpsilonGreedy = build_node(
             "exploration",
@@ -314,8 +313,9 @@ class DQNRecipe:
         """The network for this world, with the weights that the generator draws.
 
         Raises:
-            ConfigError: the actions of the world are not a choice among some.
+            ConfigError: the actions of the world are not a choice among some, or a part is that of another algorithm.
         """
+        check_parts(config, _PARTS, actor_critic=False)
         spec = world.action.spec
         if not isinstance(spec, Categorical):
             raise ConfigError(
