@@ -120,6 +120,7 @@ class Run:
         starts: int = 1,
         policy: PolicyName = "greedy",
         checkpoint: str = "best",
+        laps: int = 1,
     ) -> dict[str, Any]:
         """Drives the run's policies, and a hand-written rule beside them, and measures how well they drive.
 
@@ -128,6 +129,7 @@ class Run:
             starts: places on each track, spread evenly from its start line on.
             policy: the run's own, or a baseline in its car.
             checkpoint: which of the run's networks, `best` or `last`.
+            laps: driven in a row from each place; of several the last one is measured, a flying lap.
 
         Returns:
             What `carrl evaluate --json` prints.
@@ -139,21 +141,22 @@ class Run:
         circuits = loaded or list(self.world.circuits.validation)
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
-        evaluator = TrackEvaluator(self.world, circuits, starts)
+        evaluator = TrackEvaluator(self.world, circuits, starts, laps)
         drivers = [self._driver(folder, config, policy, checkpoint) for folder, config in chosen]
-        laps = [evaluator.evaluate(each, world) for world, each in drivers]
+        driven = [evaluator.evaluate(each, world) for world, each in drivers]
         rule = self._laps_of_the_rule(evaluator) if policy != "rule" else None
         step_length = self.world.vehicle.step_length
         document: dict[str, Any] = {
             "run": str(self.folder),
             "policy": policy,
-            **_figures(circuits, laps, rule, step_length),
+            **({"laps": laps} if laps > 1 else {}),
+            **_figures(circuits, driven, rule, step_length),
             **({"refused": refused} if refused else {}),
         }
         if count > 1:
             document["runs"] = [
                 {"run": str(folder), "seed": config["seed"], **_figures(circuits, [own], None, step_length)}
-                for (folder, config), own in zip(chosen, laps, strict=True)
+                for (folder, config), own in zip(chosen, driven, strict=True)
             ]
         return document
 
