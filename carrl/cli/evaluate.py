@@ -48,8 +48,7 @@ def main(argv: list[str]) -> int:
     for path, reason in refused.items():
         print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
     warn(road_warning(tracks or world.circuits.validation, world))
-    checkpoint = arguments.checkpoint or "best"
-    document = run.evaluate(tracks, arguments.starts, arguments.laps, arguments.policy, checkpoint)
+    document = run.evaluate(tracks, arguments.starts, arguments.policy, arguments.checkpoint or "best", arguments.laps)
     document |= {"run": arguments.run, **({"refused": refused} if refused else {})}
     if arguments.json:
         print(json.dumps(document, indent=2))
@@ -73,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="start places, spread along the track")
     parser.add_argument(
-        "--laps", type=int, default=1, metavar="N", help="in a row from each of them, the first from rest"
+        "--laps", type=int, default=1, metavar="N", help="laps in a row, of which the last, a flying lap, is measured"
     )
     parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
     parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")

@@ -34,6 +34,7 @@ MOST_STEPS, MOST_READINGS = 2**18, 2**28
 NO_POSES, NO_ACTIONS, NO_SPEEDS = np.empty((0, 0), np.float32), np.empty(0, np.int64), np.empty(0, np.float32)
 """The trajectory of a drive whose own is not kept."""
 MOST_LAPS = 1000
+"""Of a drive."""
 CARS_AT_ONCE = 256
 """As many tracks are driven together as this many cars allow, but at least one, so that memory stays bounded."""
 
@@ -43,20 +44,20 @@ def rollout_laps(
     simulator: Simulator,
     policy: Policy,
     starts: int = 1,
-    laps: int = 1,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
+    laps: int = 1,
 ) -> list[Rollout]:
-    """Drives so many laps in a row of each of the simulator's tracks, in their order, from each of `starts` places.
+    """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
 
-    The places are spread evenly along the track, from the start line on; `kept` is as in `rollout`.
+    The places are spread evenly along the track, from the start line on; `kept` and `laps` are as in `rollout`.
 
     Raises:
         ConfigError: fewer than one start place or lap, or a drive takes too many steps.
     """
-    starts, laps = whole_number("starts", starts, 1, MOST_CARS), whole_number("laps", laps, 1, MOST_LAPS)
+    starts = whole_number("starts", starts, 1, MOST_CARS)
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
-    return rollout(world, simulator, policy, torch.cat(stations), track, laps, kept)
+    return rollout(world, simulator, policy, torch.cat(stations), track, kept, laps)
 
 
 class TrackEvaluator:
@@ -66,7 +67,7 @@ class TrackEvaluator:
         world: that says how a car drives; its own tracks do not matter.
         tracks: to be driven.
         starts: places on each track, spread evenly from its start line on.
-        laps: in a row from each of them, the first from rest.
+        laps: as in `rollout`.
     """
 
     def __init__(self, world: World, tracks: Sequence[Track], starts: int, laps: int = 1) -> None:
@@ -79,12 +80,11 @@ class TrackEvaluator:
         """The rollouts on each track; a policy that sees something else needs a world of its own, with the same car.
 
         Raises:
-            ConfigError: fewer than one start place or lap.
+            ConfigError: fewer than one start place.
         """
         found: list[list[Rollout]] = []
         for simulator in self._simulators:
-            drives = world or self._world, simulator, policy, self._starts, self._laps
-            rollouts = rollout_laps(*drives, kept=lambda _: ())
+            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, lambda _: (), self._laps)
             found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
         return found
 
@@ -107,10 +107,10 @@ def rollout(
     policy: Policy,
     stations: Tensor,
     track: Tensor | None = None,
-    laps: int = 1,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
+    laps: int = 1,
 ) -> list[Rollout]:
-    """Drives so many laps in a row from each of these places, from rest.
+    """Drives one lap from each of these places.
 
     Args:
         world: how a car drives and what counts; its own tracks do not matter.
@@ -118,12 +118,14 @@ def rollout(
         policy: what to do.
         stations: of the starts, m along the centreline, [B].
         track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
-        laps: how many.
         kept: given the drives without their trajectories, says which are to have them; by default all are.
+        laps: driven in a row; where they are several, each drive is measured by the last of them, a flying lap, unless
+            it ends before that begins.
 
     Raises:
         ConfigError: that takes too many steps, or a place is not a finite number.
     """
+    laps = whole_number("laps", laps, 1, MOST_LAPS)
     stations = stations.double()
     if not stations.isfinite().all():
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
@@ -145,10 +147,10 @@ def rollout(
         moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
         last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
-        driving &= ~(ended | simulator.has_lapped(outcome.cars, laps)) & (step < limits)
+        driving &= ~(ended | _has_driven(simulator, outcome.cars, laps)) & (step < limits)
         if not driving.any():
             break
-    return _sum_up(_Moment.stack(moments), limits, task, stations, laps, kept)
+    return _sum_up(_Moment.stack(moments), limits, task, stations, kept, laps)
 
 
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
@@ -193,32 +195,37 @@ def _sum_up(
     limits: Tensor,
     task: Task,
     stations: Tensor,
-    laps: int,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None,
+    laps: int,
 ) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator = task.simulator
-    ended = course.ended | simulator.has_lapped(course.cars, laps)
+    ended = course.ended | _has_driven(simulator, course.cars, laps)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
     lap_reward, steering_reward = _earned(course, task)
     steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
-    progress, lapped = simulator.progress(last, stations, laps).tolist(), simulator.has_lapped(last, laps).tolist()
+    progress = _progress(simulator, last, stations, laps).tolist()
+    lapped = _has_driven(simulator, last, laps).tolist()
+    flying = _has_driven(simulator, course.cars, laps - 1)
+    begins = torch.where(flying.any(0), flying.int().argmax(0), 0).tolist()
     drives = []
-    for car, steps in enumerate(lengths.tolist()):
-        motion = _motion(course.cars[: steps + 1, car], simulator)
+    for car, (begin, end) in enumerate(zip(begins, lengths.tolist(), strict=True)):
+        begin = begin if begin < end else 0
+        steps = end - begin
+        motion = _motion(course.cars[begin : end + 1, car], simulator)
         distance = steps * simulator.vehicle.step_length if motion["distance"] is None else motion["distance"]
         drives.append(
             Rollout(
                 start=stations[car].item(),
                 lap_completed=lapped[car],
-                collided=bool(course.collided[steps, car]),
+                collided=bool(course.collided[end, car]),
                 progress=progress[car],
-                lap_reward=lap_reward[:steps, car].sum().item(),
-                steering_reward=steering_reward[:steps, car].sum().item(),
+                lap_reward=lap_reward[begin:end, car].sum().item(),
+                steering_reward=steering_reward[begin:end, car].sum().item(),
                 lap_steps=steps,
-                near_wall_share=course.near_wall[1 : steps + 1, car].double().mean().item(),
-                **_steering(steer[1 : steps + 1, car], distance, bool(task.action.names)),
+                near_wall_share=course.near_wall[begin + 1 : end + 1, car].double().mean().item(),
+                **_steering(steer[begin + 1 : end + 1, car], distance, bool(task.action.names)),
                 **motion,
                 poses=NO_POSES,
                 ranges=NO_POSES,
@@ -226,8 +233,21 @@ def _sum_up(
             )
         )
     for car in range(len(drives)) if kept is None else kept(drives):
-        drives[car] = _with_trajectory(drives[car], course[:, car], simulator)
+        begin = lengths[car].item() - drives[car].lap_steps
+        drives[car] = _with_trajectory(drives[car], course[begin:, car], simulator)
     return drives
+
+
+def _has_driven(simulator: Simulator, cars: CarState, laps: int) -> Tensor:
+    """Whether cars have passed the gates of so many laps, [...], bool."""
+    return cars.gates_passed >= laps * simulator.gate_counts[cars.track]
+
+
+def _progress(simulator: Simulator, cars: CarState, stations: Tensor, laps: int) -> Tensor:
+    """Share of the laps driven, [B], in [0, 1]; of several as their gates tell."""
+    if laps == 1:
+        return simulator.progress(cars, stations)
+    return (cars.gates_passed / (laps * simulator.gate_counts[cars.track])).double().clamp(max=1)
 
 
 def _earned(course: _Moment, task: Task) -> tuple[Tensor, Tensor]:

@@ -295,23 +295,22 @@ class Simulator:
             return self.places.on_the_way(cars.state, cars.track, cars.next_gate)
         return self.places.after(cars.state, cars.track, cars.station)
 
-    def has_lapped(self, cars: CarState, laps: int = 1) -> Tensor:
-        """Whether each car has passed all gates so many times since its start: [B], bool."""
-        return cars.gates_passed >= laps * self.gate_counts[cars.track]
+    def has_lapped(self, cars: CarState) -> Tensor:
+        """Whether each car has passed all gates since its start: [B], bool."""
+        return cars.gates_passed >= self.gate_counts[cars.track]
 
     def gate_distance(self, cars: CarState) -> Tensor:
         """How far each car is from the middle of the gate that counts next, in a straight line, [B], float32, m."""
         gate = self.geometry.gates[self.geometry.first_gate[cars.track] + cars.next_gate].unflatten(-1, (2, 2))
         return torch.linalg.vector_norm(gate.mean(dim=1) - cars.state[:, :2], dim=-1)
 
-    def progress(self, cars: CarState, start_stations: Tensor, laps: int = 1) -> Tensor:
-        """Share of so many laps driven since the start, [B], in [0, 1]; the start's stations are [B], m.
+    def progress(self, cars: CarState, start_stations: Tensor) -> Tensor:
+        """Share of the lap driven since the start, [B], in [0, 1]; the start's stations are [B], m.
 
         Measured along the centreline, and only as far as the gates passed in order vouch for it.
         """
-        track, gate_count = cars.track.cpu(), self.gate_counts.cpu()[cars.track.cpu()]
-        length, passed = self.routes.lengths[track], cars.gates_passed.cpu() % gate_count
-        complete = cars.gates_passed.cpu() // gate_count
+        track, passed = cars.track.cpu(), cars.gates_passed.cpu()
+        length, gate_count = self.routes.lengths[track], self.gate_counts.cpu()[track]
         start = start_stations.cpu() % length
         gate_gap = length / gate_count
         first_gate = (self.routes.next_gate(track, start) + 1) * gate_gap
@@ -319,7 +318,7 @@ class Simulator:
         low = torch.where(passed == 0, start, first_gate + (passed - 1) * gate_gap)
         high = first_gate + passed * gate_gap
         station = self.routes.nearest_stations(track, cars.state[:, :2].cpu(), low, high)
-        return ((complete + ((station - start) / length).clamp(0, 1)) / laps).clamp(max=1)
+        return torch.where(passed >= gate_count, 1.0, ((station - start) / length).clamp(0, 1))
 
     def _load_kernels(self) -> "Kernels":
         from carrl.sim.kernels import Kernels  # Here, since Numba takes half a second to import.

@@ -118,18 +118,18 @@ class Run:
         self,
         tracks: str | Path | Track | Sequence[str | Path | Track] = (),
         starts: int = 1,
-        laps: int = 1,
         policy: PolicyName = "greedy",
         checkpoint: str = "best",
+        laps: int = 1,
     ) -> dict[str, Any]:
         """Drives the run's policies, and a hand-written rule beside them, and measures how well they drive.
 
         Args:
             tracks: names, files, folders of files, or tracks; none for those on which the run was evaluated.
             starts: places on each track, spread evenly from its start line on.
-            laps: in a row from each of them, the first from rest.
             policy: the run's own, or a baseline in its car.
             checkpoint: which of the run's networks, `best` or `last`.
+            laps: driven in a row from each place; of several the last one is measured, a flying lap.
 
         Returns:
             What `carrl evaluate --json` prints.
@@ -149,6 +149,7 @@ class Run:
         document: dict[str, Any] = {
             "run": str(self.folder),
             "policy": policy,
+            **({"laps": laps} if laps > 1 else {}),
             **_figures(circuits, driven, rule, step_length),
             **({"refused": refused} if refused else {}),
         }

@@ -1,7 +1,6 @@
 """Driving without exploration, and the measures of it."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -47,31 +46,6 @@ def test_the_rule_laps_every_built_in_track_from_everywhere(track):
     drives = rollout_laps(WORLD, make_simulator(track), rule_policy, starts=4)
     assert all(attempt.lap_completed and not attempt.collided for attempt in drives)
     assert all(attempt.progress == 1.0 for attempt in drives)
-
-
-def test_laps_may_be_driven_in_a_row():
-    simulator = make_simulator("oval")
-    (once,) = rollout_laps(WORLD, simulator, rule_policy)
-    (thrice,) = rollout_laps(WORLD, simulator, rule_policy, laps=3)
-    assert thrice.lap_completed and thrice.progress == 1.0
-    assert thrice.lap_reward == 3 * 8 * 50
-    assert thrice.lap_steps == pytest.approx(3 * once.lap_steps, abs=3)
-
-
-def test_progress_of_several_laps_is_their_share():
-    simulator = make_simulator("oval")
-    lap = simulator.gate_counts[0]
-    cars = simulator.start(torch.tensor([0.0, simulator.track.length / 2]))
-    driven = replace(cars, gates_passed=torch.tensor([int(lap), int(lap + lap // 2)]), next_gate=cars.next_gate)
-    assert simulator.has_lapped(driven).tolist() == [True, True]
-    assert simulator.has_lapped(driven, 2).tolist() == [False, False]
-    assert simulator.progress(driven, torch.zeros(2), 2).tolist() == pytest.approx([0.5, 0.75], abs=0.01)
-    assert simulator.progress(driven, torch.zeros(2)).tolist() == [1.0, 1.0]
-
-
-def test_at_least_one_lap_is_driven():
-    with pytest.raises(ConfigError, match="laps is 0"):
-        rollout_laps(WORLD, make_simulator("oval"), rule_policy, laps=0)
 
 
 def test_a_clean_lap_earns_50_for_each_gate():

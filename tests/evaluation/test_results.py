@@ -190,3 +190,32 @@ def test_the_rule_pushes_two_pedals_as_it_does_one(push, throttle, brake):
 
     pressed = {name: function(torch.tensor(push)).item() for name, function in _PEDALS.items()}
     assert pressed == {"pedal": push, "throttle": throttle, "brake": brake}
+
+
+def test_a_flying_lap_is_the_last_of_several_and_faster_than_one_from_rest(pedals_lap):
+    world, policy = rule_of(make_world(vehicle=Kinematic(), sensor=Sensor(rays=9, max_range=30.0), action=PEDALS))
+    (flying,) = rollout_laps(world, world.simulator(world.track), policy, laps=2)
+    assert flying.lap_completed and flying.progress == 1 and flying.speeds[0] > 5
+    assert flying.lap_steps < pedals_lap.lap_steps
+    begin = flying.poses[0, :2]
+    assert np.linalg.norm(begin - pedals_lap.poses[-1, :2]) < 1e-6  # where the first lap ended
+    (third,) = rollout_laps(world, world.simulator(world.track), policy, laps=3)
+    assert third.distance == pytest.approx(flying.distance, rel=0.01)
+
+
+def test_a_drive_that_ends_in_its_first_lap_is_measured_from_its_start():
+    world = make_world("oval")
+    straight_on = rollout_laps(world, world.simulator(world.track), lambda seen: torch.zeros(len(seen), dtype=int))
+    (crash,) = rollout_laps(
+        world, world.simulator(world.track), lambda seen: torch.zeros(len(seen), dtype=torch.int64), laps=2
+    )
+    assert crash.collided and not crash.lap_completed
+    assert (crash.lap_steps, crash.lap_reward) == (straight_on[0].lap_steps, straight_on[0].lap_reward)
+    assert crash.progress == pytest.approx(straight_on[0].progress / 2, abs=0.1)
+
+
+@pytest.mark.parametrize("laps", [0, -1, 1.5])
+def test_laps_that_cannot_be_driven_are_refused(laps):
+    world = make_world("oval")
+    with pytest.raises(ConfigError, match=f"laps is {laps}"):
+        rollout_laps(world, world.simulator(world.track), rule_policy, laps=laps)
