@@ -10,13 +10,16 @@ from tests.configs import compose
 LEAVES = sorted(
     str(path.relative_to(config_dir()).with_suffix(""))
     for path in config_dir().rglob("*.yaml")
-    if path.parent != config_dir() and path.stem not in ("file", "continuous")
+    if path.parent != config_dir() and path.stem != "file"
 )
 
 DRIVEN = ["vehicle=kinematic", "action=table"]
 """A car with a speed of its own, for parts that look at it."""
 BESIDE = {
     "action/table": DRIVEN,
+    "action/continuous": ["loss=sac"],
+    **{name: ["loss=sac"] for name in ("algorithm/actor_critic", "network/actor_critic")},
+    **{f"exploration/{name}": ["loss=sac"] for name in ("none", "gaussian", "ornstein_uhlenbeck")},
     "vehicle/kinematic": DRIVEN,
     "vehicle/single_track": DRIVEN,
     **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "racer", "torcs")},
@@ -26,7 +29,7 @@ BESIDE = {
     },
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
-    "experiment/generalist": ["track.count=4", "track.validation=2"],  # of hundreds, which take seconds to draw
+    **{f"experiment/{name}": ["track.count=4", "track.validation=2"] for name in ("generalist", "racer")},  # of hundreds
 }
 
 
@@ -41,8 +44,13 @@ def test_every_option_of_every_group_builds(leaf):
 
 
 def test_numbers_as_actions_are_refused_by_dqn_in_one_sentence():
-    with pytest.raises(ConfigError, match="the network has a value for each action; set an action of discrete choices"):
+    with pytest.raises(ConfigError, match="DQN has a value for each action, and action is made of numbers; set an"):
         build_pipeline(compose("action=continuous"))
+
+
+def test_powers_of_what_may_be_negative_are_refused():
+    with pytest.raises(ConfigError, match=r"network.input_exponent is 0.5, and the observation's .*slip.* may be neg"):
+        build_pipeline(compose("vehicle=kinematic", "action=table", "observation=racer", "network.input_exponent=0.5"))
 
 
 def test_a_track_file_is_an_option_of_the_track_group(real_circuits):

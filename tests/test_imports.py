@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ORDER = [
-    *("errors", "rows", "files", "plain_yaml", "config"),
+    *("errors", "rows", "files", "plain_yaml", "targets", "config"),
     *("tracks", "sim", "task", "log", "render", "env", "algorithms", "data"),
     *("evaluation", "train", "report", "export", "cli"),
     *("registration", "sb3"),

@@ -6,7 +6,8 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.config import TARGETS, config_dir
+from carrl.config import config_dir
+from carrl.targets import TARGETS
 from carrl.train.files import CONFIG
 from tests.strangers import make_run, refused
 

@@ -16,9 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from carrl.config import TARGETS, config_dir, make_importable
+from carrl.config import config_dir, make_importable
 from carrl.errors import CLOSE, ConfigError, did_you_mean, shown
 from carrl.plain_yaml import parse_yaml
+from carrl.targets import TARGETS
 
 PLAIN_KEYS = {
     "seed": "of everything random in the run: network, exploration, environment, replay sampling",

@@ -8,8 +8,9 @@ import pytest
 import yaml
 
 from carrl.cli.main import main
-from carrl.config import TARGETS, config_dir
+from carrl.config import config_dir
 from carrl.errors import ConfigError
+from carrl.targets import TARGETS
 from carrl.train.composition import PLAIN_KEYS, nearest_keys, real_keys
 from carrl.train.overrides import name_files, quote, readable_overrides, sort_arguments, unquote
 from tests.configs import compose

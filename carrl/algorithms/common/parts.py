@@ -18,7 +18,8 @@ def check_parts(config: Mapping[str, Any], remedies: Mapping[str, str], *, actor
         actor_critic: whether the algorithm has actors and critics; else it is DQN.
     """
     for name, remedy in remedies.items():
-        target = str(config[name].get("_target_", ""))
+        node = config.get(name)
+        target = str(node.get("_target_", "")) if isinstance(node, Mapping) else ""
         if target.startswith(_ALGORITHMS) and target.startswith(_ACTOR_CRITIC) != actor_critic:
             kind = "DDPG, TD3 or SAC" if actor_critic else "DQN and its descendants"
             raise ConfigError(f"{name} is {target.rpartition('.')[2]}, which is no part of {kind}; set {remedy}")
