@@ -208,7 +208,7 @@ REFUSED = [
     (["action=continuous"], "DQN has a value for each action, and action is made of numbers"),
     (["loss=sac", "network.actor_sizes=[0]"], "network.actor_sizes is [0]; every layer needs at least 1 unit"),
     (["loss=sac", "network.critic_sizes=[100000,100000]"], "network.critic_sizes has 2 layers"),
-    (["loss=sac", "network.activation=gelu"], "network.activation is 'gelu'; it must be of type"),
+    (["loss=sac", "network.activation=gelu"], "network.activation is 'gelu'; it must be relu or tanh or elu"),
     (["loss=td3", "loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning and loss=cql and loss=sac only"),
 ]
 

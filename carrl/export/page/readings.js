@@ -3,6 +3,7 @@
 const ENDINGS = {
   collision: "ended by a collision",
   "time limit": "cut at the time limit",
+  "other end": "ended, not at a wall",
   unfinished: "unfinished in the log",
 };
 
