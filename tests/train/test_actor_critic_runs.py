@@ -209,6 +209,12 @@ REFUSED = [
     (["loss=sac", "network.actor_sizes=[0]"], "network.actor_sizes is [0]; every layer needs at least 1 unit"),
     (["loss=sac", "network.critic_sizes=[100000,100000]"], "network.critic_sizes has 2 layers"),
     (["loss=sac", "network.activation=gelu"], "network.activation is 'gelu'; it must be relu or tanh or elu"),
+    (["loss=sac", "loss.learn_alpha=false", "loss.target_entropy=-3"], "loss.target_entropy is -3, but with"),
+    (
+        ["loss=sac", "loss.learn_alpha=false", "loss.alpha_rate=7"],
+        "loss.alpha_rate is 7, but with loss.learn_",
+    ),
+    (["vehicle=single_track"], "is controlled by steer, pedal, in this order; set action=continuous"),
     (["loss=td3", "loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning and loss=cql and loss=sac only"),
 ]
 
