@@ -254,3 +254,9 @@ def test_learning_from_a_log_of_other_controls_is_refused(log, tmp_path, capsys)
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "its actions are numbers for ['steer'], this car's for ['steer', 'pedal']" in error
+
+
+def test_a_log_of_numbers_is_none_of_named_actions(log, tmp_path, capsys):
+    overrides = ["data=log", f"data.path={log}", "compile=false"]
+    assert main(["train", *overrides, f"hydra.run.dir={tmp_path / 'run'}"]) == 2
+    assert "its actions are numbers, this car's are ['forward', 'left', 'right']" in capsys.readouterr().err
