@@ -108,8 +108,8 @@ def _check_sensor(log: Log, sensor: Sensor) -> None:
     mount = _numbers(log, "sensor_mount_m", 0.0)
     if "sensor_range_m" in log.metadata and not _alike(mount, sensor.mount):
         raise LogError(
-            f"log '{log.path}': its rays begin {mount} m ahead of the car's middle, this configuration's {sensor.mount} "
-            f"m; set sensor.mount={mount}"
+            f"log '{log.path}': its rays begin {mount} m ahead of the car's middle, this configuration's "
+            f"{sensor.mount} m; set sensor.mount={mount}"
         )
     angles = sensor.angles.numpy()
     found = _numbers(log, "sensor_angles_rad", angles)
@@ -142,7 +142,7 @@ def _check_actions(log: Log, world: World) -> None:
     names = _entry(log, "action_names", own)
     if names != own:
         raise LogError(
-            f"log '{log.path}': its actions are {str(names or 'numbers'):.100}, this car's are {own or 'numbers'}; "
+            f"log '{log.path}': its actions are {names or 'numbers'!s:.100}, this car's are {own or 'numbers'}; "
             "give the log of a car with the same"
         )
     controls = list(world.action.control_names)

@@ -4,6 +4,7 @@ import io
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import plotext
@@ -206,3 +207,14 @@ def test_a_line_by_speed_has_digits_without_colours_and_a_legend(pedals):
     assert "S start  0 0.0 m/s  9 7.0 m/s  E the record ends" in lines
     assert "9" in "".join(lines[1 : lines.index("S start  0 0.0 m/s  9 7.0 m/s  E the record ends")])
     assert "\x1b[38;2;255;246;192m" in printed(pedals, colours=True)  # of the greatest speed
+
+
+def test_of_a_table_of_actions_only_the_values_of_the_chosen_and_the_best_one_are_shown(trace):
+    actions = len(trace.scene.action_names) + 12
+    values = np.tile(np.arange(actions, dtype=np.float32), (len(trace), 1))
+    names = tuple(f"steer_{number}" for number in range(actions))
+    scene = replace(trace.scene, action_names=names)
+    text = printed(EpisodeTrace(scene, {**trace.columns, "action_value": values}), width=160)
+    heading = next(line for line in text.splitlines() if "nearest wall" in line)
+    assert "chosen" in heading and "best" in heading
+    assert "steer_14" not in heading

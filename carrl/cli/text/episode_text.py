@@ -33,6 +33,8 @@ END_NAMES = {
     "other end": "other end",
     "unfinished": "the record ends",
 }
+MOST_ACTIONS, CHOSEN_AND_BEST = 6, ("chosen", "best")
+"""Of more actions than that only the values of these two are in the table."""
 FIRST, LAST = 5, 15
 """Of a longer episode, the table has so many of the first and of the last steps."""
 WIDE = 100
@@ -218,7 +220,8 @@ def _columns(scene: EpisodeScene, wide: bool) -> list[tuple[str, bool]]:
     values = []
     if scene.per_action:
         word = scene.per_action.title.split()[-1]
-        values = [(f"{word[0]} {name if wide else name[0]}", True) for name in scene.per_action.entries]
+        names = scene.per_action.entries if len(scene.per_action.entries) <= MOST_ACTIONS else CHOSEN_AND_BEST
+        values = [(f"{word[0]} {name if wide else name[0]}", True) for name in names]
     numbers = [(name, True) for series in scene.told for name in series.entries] if wide else []
     return [*before, *values, ("reward", True), (REASONS, False), *numbers]
 
@@ -231,8 +234,11 @@ def _cells(scene: EpisodeScene, row: int, wide: bool) -> list[Text]:
     values = []
     if per_action:
         decimals = _decimals(per_action.values) + wide
-        texts = [_value(value, decimals) for value in per_action.values[row]]
-        values = [Text(text, "bold" if index == action else "") for index, text in enumerate(texts)]
+        of_actions, chosen = per_action.values[row], action
+        if len(of_actions) > MOST_ACTIONS:
+            of_actions, chosen = np.array([of_actions[action], of_actions.max()]), 0
+        texts = [_value(value, decimals) for value in of_actions]
+        values = [Text(text, "bold" if index == chosen else "") for index, text in enumerate(texts)]
     numbers = [Text(f"{value:.3f}") for series in scene.told for value in series.values[row]] if wide else []
     speeds = trace.state("speed")
     actions = [Text(trace.scene.action_names[action] + star, ink.style)]
