@@ -235,13 +235,19 @@ def _check_values(
         if key not in chosen:
             raise ConfigError(f"{name} has no key {shown(key)}; {target.__name__} takes {', '.join(chosen)}")
         if key in hints and not _fits(value, hints[key]):
-            wanted = getattr(hints[key], "__name__", None) if inspect.isclass(hints[key]) else None
             remedy = f"; write {shown(whole(value))}" if _fits(whole(value), hints[key]) else ""
-            raise ConfigError(f"{name}.{key} is {shown(value)}; it must be of type {wanted or hints[key]}{remedy}")
+            raise ConfigError(f"{name}.{key} is {shown(value)}; it must be {_wanted(hints[key])}{remedy}")
         _check_size(f"{name}.{key}", value)
     missing = [key for key in chosen if key not in values and parameters[key].default is inspect.Parameter.empty]
     if missing:
         raise ConfigError(f"{name} lacks {', '.join(missing)}; {target.__name__} needs a value for each")
+
+
+def _wanted(hint: Any) -> str:
+    """What a value of this type is, in words."""
+    if typing.get_origin(hint) is typing.Literal:
+        return " or ".join(map(str, typing.get_args(hint)))
+    return f"of type {hint.__name__ if inspect.isclass(hint) else str(hint).replace('collections.abc.', '')}"
 
 
 def is_whole_number(value: object) -> bool:

@@ -29,7 +29,7 @@ BESIDE = {
     },
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
-    **{f"experiment/{name}": ["track.count=4", "track.validation=2"] for name in ("generalist", "racer")},  # of hundreds
+    **{f"experiment/{name}": ["track.count=4", "track.validation=2"] for name in ("generalist", "racer")},
 }
 
 

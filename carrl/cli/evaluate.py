@@ -118,7 +118,7 @@ def _cells(figures: Figures, styles: Sequence[str]) -> list[str]:
         f"{figures['lap_reward']:.0f}",
         f"{figures['lap_steps']:.0f}",
         *(_mean(figures, key, *STYLES[key][1:]) if key in figures else "-" for key in styles),
-        f"{figures['near_wall_share']:.1%}",
+        f"{figures['near_wall_share']:.1%}" if "near_wall_share" in figures else "-",
     ]
 
 

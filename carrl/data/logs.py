@@ -52,6 +52,7 @@ def check_logs(paths: Sequence[Path], world: World) -> int:
             if log.transitions:
                 _check_width(log, world)
             _check_sensor(log, world.sensor)
+            _check_parts(log, world)
             _check_actions(log, world)
             total += log.transitions
     return total
@@ -104,6 +105,12 @@ def _check_sensor(log: Log, sensor: Sensor) -> None:
             f"log '{log.path}': its sensor reaches {reach} m, this configuration's {sensor.max_range} m; "
             f"set sensor.max_range={reach}"
         )
+    mount = _numbers(log, "sensor_mount_m", 0.0)
+    if "sensor_range_m" in log.metadata and not _alike(mount, sensor.mount):
+        raise LogError(
+            f"log '{log.path}': its rays begin {mount} m ahead of the car's middle, this configuration's {sensor.mount} "
+            f"m; set sensor.mount={mount}"
+        )
     angles = sensor.angles.numpy()
     found = _numbers(log, "sensor_angles_rad", angles)
     if not _alike(found, angles):
@@ -113,12 +120,29 @@ def _check_sensor(log: Log, sensor: Sensor) -> None:
         )
 
 
+def _check_parts(log: Log, world: World) -> None:
+    """Raises LogError where observations that are as wide are of other terms."""
+    own = [(part.name, part.width) for part in world.observation.parts(world.sensor, world.action)]
+    try:
+        found = [(name, width) for name, width, *_ in _entry(log, "observation", own)]
+    except (TypeError, ValueError) as error:
+        raise LogError(
+            f"log '{log.path}': its metadata entry 'observation' names no terms; give an intact log"
+        ) from error
+    if found != own:
+        there, here = (", ".join(f"{width} of {name}" for name, width in parts) for parts in (found, own))
+        raise LogError(
+            f"log '{log.path}': its observations are {there:.200}, the network reads {here}; "
+            "set observation as in the run that wrote it"
+        )
+
+
 def _check_actions(log: Log, world: World) -> None:
     own = list(world.action.names)
     names = _entry(log, "action_names", own)
     if names != own:
         raise LogError(
-            f"log '{log.path}': its actions are {names!r:.100}, this car's are {own}; "
+            f"log '{log.path}': its actions are {str(names or 'numbers'):.100}, this car's are {own or 'numbers'}; "
             "give the log of a car with the same"
         )
     controls = list(world.action.control_names)

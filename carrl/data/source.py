@@ -18,7 +18,7 @@ from torchrl.data import TensorDictReplayBuffer
 from carrl.data.collector import Collector
 from carrl.data.replay_buffer import KEYS, NStepReturns, contents_of, restore_contents
 from carrl.env.track_env import TrackEnv
-from carrl.log.messages import Episode
+from carrl.log.messages import Episode, how_ended
 
 _KEYS = ("reward", "done", "terminated", "gates_passed", "step", "track")
 
@@ -83,6 +83,8 @@ class EpisodeTracker:
         numbers = np.empty((cars, steps), dtype=np.int64)
         times = np.empty(steps, dtype=np.int64)
         after = {key: batch["next", key].cpu().numpy().reshape(cars, steps) for key in _KEYS}
+        collided = batch.get(("next", "collided"), batch["next", "terminated"])
+        after["collided"] = collided.cpu().numpy().reshape(cars, steps)
         self._begin_anew(after["step"][:, 0] == 1)
         poses = batch["next", "pose"].cpu().numpy()
         ended: list[list[Episode]] = [[] for _ in self._begun]
@@ -121,7 +123,7 @@ class EpisodeTracker:
             length=int(after["step"]),
             gates=gates,
             laps=gates // int(self._gates_per_lap[track]),
-            ended="collision" if after["terminated"] else "time limit",
+            ended=how_ended(after["terminated"], after["collided"]),
             end_pose=pose,
         )
         self._begin(car)

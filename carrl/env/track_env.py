@@ -44,6 +44,7 @@ class TrackEnv(EnvBase):
     | `track` | [N] int64 | index into `tracks` of what the car drives on |
     | `station` | [N] float32 | way along the centreline from the start line, m; if a term asks where the car is |
     | `stalled` | [N] int64 | steps in a row without progress; if they end an episode |
+    | `collided` | [N, 1] bool | touching a wall ended the episode; if something else may end one, too |
 
     An action is a whole number of any integer type, and each car has one. A car whose episode has ended is to be reset,
     as TorchRL's collectors, `rollout` and `step_and_maybe_reset` do; as elsewhere in TorchRL `step` does not look at
@@ -234,7 +235,7 @@ class TrackEnv(EnvBase):
     def _as_dict(self, now: EpisodeStart | StepResult) -> dict[str, Tensor]:
         """The state and the observation by the names of the keys."""
         state, cars = now.state, now.state.cars
-        carried = {"station": cars.station, "stalled": state.stalled}
+        carried = {"station": cars.station, "stalled": state.stalled, "collided": self._collided(state)}
         return {name: value for name, value in carried.items() if value is not None} | {
             "observation": now.observation,
             "pose": cars.pose if self._state_key == "state" else cars.state,
@@ -245,6 +246,13 @@ class TrackEnv(EnvBase):
             "step": state.step,
             "last_action": state.last_action,
         }
+
+    def _collided(self, state: EpisodeState) -> Tensor | None:
+        """Where touching a wall ended the episode, [N, 1], bool; None where nothing else ends one."""
+        end, contact = self.task.end, state.contact
+        if not end.has_others or contact is None:
+            return None
+        return contact[:, None] if end.slide is None else torch.zeros_like(contact[:, None])
 
     def _declare_specs(self) -> None:
         cars, task = self.batch_size[0], self.task
@@ -274,6 +282,7 @@ class TrackEnv(EnvBase):
             observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
             reward_terms=numbers(len(task.reward.term_names)),
             **{"pose": numbers(3), **state},
+            **({"collided": flag.clone()} if task.end.has_others else {}),
             shape=(cars,),
         ).to(self.device)
         self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,)).to(self.device)

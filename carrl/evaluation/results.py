@@ -78,7 +78,7 @@ class Rollout:
         forward_share: share of the steps with the action forward; None where actions are numbers, as are the next two.
         switches_per_100m: how often the action changed, per 100 m driven.
         reversals: how often left followed right or right followed left, without a step forward between.
-        near_wall_share: share of the steps with a sensor below the reward's proximity threshold.
+        near_wall_share: share of the steps with a sensor below the reward's proximity threshold; None without one.
         poses: before each step and after the last, [T + 1, 3]; empty where the trajectory was not kept, as are the
             next two.
         ranges: at each pose, [T + 1, R], m.
@@ -99,7 +99,7 @@ class Rollout:
     forward_share: float | None
     switches_per_100m: float | None
     reversals: int | None
-    near_wall_share: float
+    near_wall_share: float | None
     poses: np.ndarray = field(repr=False)
     ranges: np.ndarray = field(repr=False)
     actions: np.ndarray = field(repr=False)

@@ -215,6 +215,8 @@ def _sum_up(
         steps = end - begin
         motion = _motion(course.cars[begin : end + 1, car], simulator)
         distance = steps * simulator.vehicle.step_length if motion["distance"] is None else motion["distance"]
+        near_wall = course.near_wall[begin + 1 : end + 1, car]
+        near_wall_share = near_wall.double().mean().item() if task.reward.proximity else None
         drives.append(
             Rollout(
                 start=stations[car].item(),
@@ -224,7 +226,7 @@ def _sum_up(
                 lap_reward=lap_reward[begin:end, car].sum().item(),
                 steering_reward=steering_reward[begin:end, car].sum().item(),
                 lap_steps=steps,
-                near_wall_share=course.near_wall[begin + 1 : end + 1, car].double().mean().item(),
+                near_wall_share=near_wall_share,
                 **_steering(steer[begin + 1 : end + 1, car], distance, bool(task.action.names)),
                 **motion,
                 poses=NO_POSES,

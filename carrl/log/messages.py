@@ -3,7 +3,14 @@
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-Ended = Literal["collision", "time limit"]
+Ended = Literal["collision", "time limit", "other end"]
+
+
+def how_ended(terminated: bool, collided: bool) -> Ended:
+    """Why an episode ended: at a wall, by another end of its task, or else because its time was up."""
+    if not terminated:
+        return "time limit"
+    return "collision" if collided else "other end"
 
 
 class Episode(NamedTuple):
@@ -20,7 +27,7 @@ class Episode(NamedTuple):
         length: its steps.
         gates: gates passed.
         laps: complete laps, each of all gates.
-        ended: why, "collision" or "time limit".
+        ended: why, "collision", "time limit" or "other end", such as no progress or running backwards.
         end_pose: where: x m, y m, heading rad.
     """
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from carrl.errors import DamagedLogError, LogError
 from carrl.log.codec import Columns, Selection
 from carrl.log.log_file import ATTACHMENT
+from carrl.log.messages import Ended, how_ended
 from carrl.log.reader import Log
 from carrl.log.scene import Floats, Scene, TrackShape
 
@@ -61,11 +62,13 @@ class EpisodeTrace:
         return self.scene.tracks[int(self.columns["track"][0])]
 
     @property
-    def ended(self) -> Literal["collision", "time limit", "unfinished"]:
+    def ended(self) -> Ended | Literal["unfinished"]:
         """Why the record ends."""
-        if self.columns["terminated"][-1].any():
-            return "collision"
-        return "time limit" if self.columns["truncated"][-1].any() else "unfinished"
+        terminated, truncated = (bool(self.columns[name][-1].any()) for name in ("terminated", "truncated"))
+        if not terminated and not truncated:
+            return "unfinished"
+        collided = self.columns.get("collided", self.columns["terminated"])  # there if something else ends episodes
+        return how_ended(terminated, bool(collided[-1].any()))
 
     @property
     def first_step(self) -> int:

@@ -243,7 +243,8 @@ class PixelCanvas(Canvas):
     def _write(self, place: ArrayLike, line: "_Line", colour: str, rim: float = 0.0) -> None:
         share, offset = _stamp(line._replace(size=line.size * self._scale), rim * self._scale / 2)
         left, top = (round(at * self._scale) + by for at, by in zip(np.asarray(place).tolist(), offset, strict=True))
-        covered = self._pixels[max(0, top) : top + len(share), max(0, left) : left + share.shape[1], :3]
+        bottom, right = max(0, top + len(share)), max(0, left + share.shape[1])
+        covered = self._pixels[max(0, top) : bottom, max(0, left) : right, :3]
         share = share[max(0, -top) :, max(0, -left) :][: covered.shape[0], : covered.shape[1]]
         covered[:] = covered + (np.array(rgb(colour), np.float32) - covered) * share
 

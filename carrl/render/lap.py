@@ -28,7 +28,7 @@ LEAST_GAP = 70.0
 """How far apart these places are at least, along the drive, points."""
 FINEST = 2.0
 """The shortest stretch of one colour that is easy to see, points."""
-_TEXT, _SWATCH, _SPACE, _BAR = 8.5, 13.0, 12.0, 96.0
+_TEXT, _SWATCH, _SPACE, _BAR, _SCALE_BAR = 8.5, 13.0, 12.0, 96.0, 120.0
 """Of the legend: height of its text, width of a sample, distance between two entries, width of a bar; points."""
 
 
@@ -161,10 +161,9 @@ def _length(positions: Floats) -> float:
 def _draw_legend(canvas: Canvas, size: tuple[float, float], lap: _Lap, action_names: Sequence[str]) -> None:
     """Below the map at the right: what the colours mean, with each action's share of the steps, and the marks."""
     x, y = size[0] - 9, size[1] - 14
-    names, colours = (list(action_names), lap.colours) if lap.speeds is None else ([], ())
-    if len(lap.actions):
-        names = [f"{name} {round(100 * np.mean(lap.actions == action))} %" for action, name in enumerate(names)]
-    for index, name in reversed(list(enumerate([*names, "car, sensor rays", "collision" if lap.collided else "end"]))):
+    marks = ["car, sensor rays", "collision" if lap.collided else "end"]
+    names, colours = _actions_named(lap, action_names, x - _SCALE_BAR - sum(map(_width, marks)))
+    for index, name in reversed(list(enumerate([*names, *marks]))):
         x -= text_width(name, _TEXT)
         canvas.text((x, y + 3), name, _TEXT, INK)
         x -= _SWATCH + 5
@@ -179,6 +178,28 @@ def _draw_legend(canvas: Canvas, size: tuple[float, float], lap: _Lap, action_na
         x -= _SPACE
     if lap.speeds is not None:
         _draw_speed_bar(canvas, x, y, *speed_span(lap.speeds))
+
+
+def _actions_named(lap: _Lap, names: Sequence[str], room: float) -> tuple[list[str], list[str]]:
+    """Actions with their shares of the steps, and their colours; the most frequent ones where there is no room for all.
+
+    None where the line has the colours of the speed.
+    """
+    if lap.speeds is not None:
+        return [], []
+    taken = np.bincount(lap.actions, minlength=len(names))
+    texts = list(names)
+    if len(lap.actions):
+        texts = [f"{name} {round(100 * taken[action] / len(lap.actions))} %" for action, name in enumerate(names)]
+    by_frequency = np.argsort(-taken[: len(names)], kind="stable").tolist()
+    fitting = int((np.cumsum([_width(texts[action]) for action in by_frequency]) <= room).sum())
+    shown = sorted(by_frequency[:fitting])
+    return [texts[action] for action in shown], [lap.colours[action] for action in shown]
+
+
+def _width(name: str) -> float:
+    """Of an entry of the legend."""
+    return text_width(name, _TEXT) + _SWATCH + 5 + _SPACE
 
 
 def _draw_sample_car(canvas: Canvas, middle: Floats, body_size: tuple[float, float] | None) -> None:

@@ -4,6 +4,7 @@ Shapes: `E` episodes, `A` actions, `G` gates, `P` points of a centreline, `K` pl
 two gates; section 0 between the start line and the first of them. A station is a distance along the centreline.
 """
 
+import typing
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import LogError
-from carrl.log.messages import Episode
+from carrl.log.messages import Ended, Episode
 from carrl.log.scene import Floats, Scene, TrackShape
 
 NO_EPISODE = "no episode has ended in this log, so there is nothing to say of returns, lengths, laps and crashes"
@@ -35,7 +36,7 @@ class LogStats:
         returns: undiscounted sum of each episode's rewards, [E].
         lengths: its steps, [E].
         laps: complete laps of it, [E].
-        collided: whether it ended at a wall, and not by the time limit, [E].
+        ended: why it ended, as `Episode.ended` has it, [E].
         tracks: index of its track among the scene's, [E].
         ends: where it ended, [E, 2], m.
         control_counts: where actions are numbers, how many of each control lay between two of `CONTROL_EDGES`, [C, B].
@@ -47,7 +48,7 @@ class LogStats:
     returns: Floats
     lengths: NDArray[np.int64]
     laps: NDArray[np.int64]
-    collided: NDArray[np.bool_]
+    ended: NDArray[np.str_]
     tracks: NDArray[np.int64]
     ends: Floats
     control_counts: NDArray[np.int64] | None = None
@@ -72,7 +73,7 @@ class LogStats:
             returns=np.array([episode.episode_return for episode in episodes], dtype=np.float64),
             lengths=np.array([episode.length for episode in episodes], dtype=np.int64),
             laps=np.array([episode.laps for episode in episodes], dtype=np.int64),
-            collided=np.array([episode.ended == "collision" for episode in episodes], dtype=np.bool_),
+            ended=np.array([episode.ended for episode in episodes], dtype=np.str_),
             tracks=np.array([episode.track for episode in episodes], dtype=np.int64),
             ends=np.array([episode.end_pose[:2] for episode in episodes], dtype=np.float64).reshape(-1, 2),
             control_counts=control_counts,
@@ -86,6 +87,17 @@ class LogStats:
     def __len__(self) -> int:
         """Ended episodes, E."""
         return len(self.returns)
+
+    @property
+    def collided(self) -> NDArray[np.bool_]:
+        """Whether each episode ended at a wall, [E]."""
+        return self.ended == "collision"
+
+    @property
+    def ends_counted(self) -> dict[str, int]:
+        """How many episodes ended for each reason; other ends than walls and the time limit only if there are any."""
+        counts = {name: int((self.ended == name).sum()) for name in typing.get_args(Ended)}
+        return {name: count for name, count in counts.items() if count or name != "other end"}
 
     @cached_property
     def main_track(self) -> int:

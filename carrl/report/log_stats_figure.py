@@ -84,9 +84,10 @@ def _draw_returns(axes: Axes, stats: LogStats) -> None:
 def _draw_lengths(axes: Axes, stats: LogStats) -> None:
     """Stacked by how the episodes ended."""
     plain_axes(axes)
-    ends = [stats.lengths[stats.collided], stats.lengths[~stats.collided]]
+    names = list(stats.ends_counted)
+    ends = [stats.lengths[stats.ended == name] for name in names]
     edges = np.linspace(*span(float(stats.lengths.min()), float(stats.lengths.max())), 25).tolist()
-    axes.hist(ends, edges, stacked=True, color=[VERMILLION, BLUE], label=["collision", "time limit"])
+    axes.hist(ends, edges, stacked=True, color=[VERMILLION, BLUE, YELLOW][: len(names)], label=names)
     axes.set_ylim(top=1.25 * axes.get_ylim()[1])
     axes.legend(frameon=False, fontsize=7, handlelength=1, loc="upper right")
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))

@@ -211,8 +211,15 @@ def check_fits(action: ActionMap, vehicle: VehicleModel) -> None:
     if names != vehicle.control_names:
         raise ConfigError(
             f"action sets {', '.join(names) or 'nothing'}; the vehicle {type(vehicle).__name__} is controlled by "
-            f"{', '.join(vehicle.control_names)}, in this order"
+            f"{', '.join(vehicle.control_names)}, in this order{_remedy(action, vehicle)}"
         )
+
+
+def _remedy(action: ActionMap, vehicle: VehicleModel) -> str:
+    """The rest of a sentence that says how a car with pedals is controlled, to one who chose to steer alone."""
+    if not action.names or len(vehicle.control_names) == 1:
+        return ""
+    return "; set action=continuous where the algorithm allows it, or action=table with action.settings of these"
 
 
 def _is_setting(value: object) -> bool:

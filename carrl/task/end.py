@@ -130,6 +130,11 @@ class End:
         """Share of its speed along a wall that a car keeps in a step of contact; None where that ends its episode."""
         return next((term.kept for term in self.terms.values() if isinstance(term, SlideAlongWall)), None)
 
+    @property
+    def has_others(self) -> bool:
+        """Whether something else than a wall may end an episode."""
+        return len(self.terms) > 1
+
     def stalled(self, step: StepContext) -> Tensor | None:
         """For how many steps the cars have made no progress, [N], int64; None where that does not matter."""
         return next((term.count(step) for term in self.terms.values() if isinstance(term, NoProgress)), None)

@@ -193,10 +193,14 @@ class Reward:
         return terms[..., wanted].sum(dim=-1)
 
     @property
+    def proximity(self) -> Proximity | None:
+        """The term that says what is near a wall, if there is one."""
+        return next((term for term in self.terms.values() if isinstance(term, Proximity)), None)
+
+    @property
     def near_wall(self) -> Proximity:
-        """The term that says what is near a wall; if there is none the paper's, but that it earns nothing."""
-        terms = (term for term in self.terms.values() if isinstance(term, Proximity))
-        return next(terms, Proximity(weight=0.0))
+        """The same; if there is none the paper's, but that it earns nothing."""
+        return self.proximity or Proximity(weight=0.0)
 
 
 def paper_reward(turn: float = 0.0, switch: float = 0.0) -> Reward:

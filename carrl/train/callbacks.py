@@ -107,7 +107,8 @@ def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
         Column("next_gates_passed", ("next", "gates_passed"), "int64", (), f"{counts} after the action", narrow=True),
         Column("time_ns", "time_ns", "int64", (), "simulated time before the action, since the start of the run, ns"),
     )
-    return Schema(task, tuple(algorithm))
+    collided = Column("collided", ("next", "collided"), "bool", (1,), "touching a wall ended the episode here")
+    return Schema((*task, collided) if env.task.end.has_others else task, tuple(algorithm))
 
 
 def git_commit() -> str | None:

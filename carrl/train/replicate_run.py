@@ -243,7 +243,7 @@ def _drive_quality(run: ReplicateRun, _: int) -> float:
     best = run.best.measures()
     if "mean_speed" in best:
         return float(best["progress"] + (1.0 + best["mean_speed"] / 100 if best["lap_completed"] else 0.0))
-    steering = best.get("forward_share", 0.0) + 1.0 - best["near_wall_share"]
+    steering = best.get("forward_share", 0.0) + 1.0 - best.get("near_wall_share", 0.0)
     return float(best["progress"] + (steering if best["lap_completed"] else 0.0))
 
 

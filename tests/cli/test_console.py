@@ -3,6 +3,7 @@
 import pytest
 
 from carrl.cli.main import main
+from carrl.cli.text.many_runs import _style_of
 
 SHORT = ["compile=false", "recorder=null", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
 SHORT += ["vehicle.turn_radius=100"]  # so that no car can lap
@@ -23,3 +24,16 @@ def test_of_one_track_it_says_how_far_the_best_drive_came(seeds, replicates, tmp
     output = capsys.readouterr()
     assert "% of a lap" in output.out
     assert f"first lap by 0 of {replicates}" in output.err
+
+
+@pytest.mark.parametrize(
+    ("cells", "name"),
+    [
+        (["83%", ""], "forward"),
+        (["12.5 m/s", ""], "mean speed"),
+        (["12.5 m/s", "83%"], "forward or mean speed"),
+        ([""], "forward"),
+    ],
+)
+def test_the_column_of_how_cars_drive_is_named_by_what_is_in_it(cells, name):
+    assert _style_of(cells) == name

@@ -59,6 +59,13 @@ def test_an_episode_that_is_cut_ended_by_the_time_limit():
     assert episode.ended == "time limit"
 
 
+def test_an_episode_that_ended_at_no_wall_is_no_collision():
+    step = batch([[0.0], [0.0]], [[True], [True]])
+    step["next", "collided"] = torch.tensor([[[False]], [[True]]])
+    (ended,) = EpisodeTracker(1, 2, gates_per_lap=8, time_step=0.1).follow(step)
+    assert [episode.ended for episode in ended] == ["other end", "collision"]
+
+
 def test_every_agent_has_an_account_of_its_own():
     alone = EpisodeTracker(1, 2, gates_per_lap=8, time_step=0.1)
     together = EpisodeTracker(2, 2, gates_per_lap=8, time_step=0.1)

@@ -82,11 +82,15 @@ BOTH = rays_and_last_action()
             r"its sensor reaches 10\.0 m, this configuration's 15 m; set sensor\.max_range=10\.0",
         ),
         (
+            {"sensor": Sensor(mount=0.2)},
+            r"its rays begin 0\.0 m ahead of the car's middle, this configuration's 0\.2 m; set sensor\.mount=0\.0",
+        ),
+        (
             {"action": DiscreteActions(("forward", "left"), {"steer": (0.0, 1.0)})},
             r"its actions are \['forward', 'left', 'right'\], this car's are \['forward', 'left'\]",
         ),
     ],
-    ids=["rays", "observed action", "rays and action", "field of view", "range", "actions"],
+    ids=["rays", "observed action", "rays and action", "field of view", "range", "mount", "actions"],
 )
 def test_a_log_of_another_car_is_refused(parts, message, tmp_path):
     with pytest.raises(LogError, match=message):
@@ -98,6 +102,12 @@ def test_a_log_of_another_car_is_refused(parts, message, tmp_path):
     [
         ({"action_names": '["left", "right"]'}, r"its actions are \['left', 'right'\], this car's are"),
         ({"action_names": "left"}, "its metadata entry 'action_names' is not JSON"),
+        (
+            {"observation": '[["rays", 4, 0, 1], ["last_action", 3, 0, 1]]'},
+            "its observations are 4 of rays, 3 of last_action, the network reads 7 of rays; set observation",
+        ),
+        ({"observation": "[7]"}, "its metadata entry 'observation' names no terms"),
+        ({"sensor_mount_m": "1.5"}, r"its rays begin 1\.5 m ahead of the car's middle, this configuration's 0\.0 m"),
         ({"sensor_range_m": '"far"'}, "its metadata entry 'sensor_range_m' holds no numbers"),
         ({"sensor_range_m": "[10.0]"}, r"its sensor reaches \[10\.\] m"),
         ({"sensor_angles_rad": "[[1], [2, 3]]"}, "its metadata entry 'sensor_angles_rad' holds no numbers"),

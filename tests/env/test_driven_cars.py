@@ -17,7 +17,7 @@ from carrl.sim.simulator import Simulator
 from carrl.sim.single_track import SingleTrack
 from carrl.sim.vehicle import Bicycle, Vehicle
 from carrl.task.action import make_table
-from carrl.task.end import End, NoProgress, RunningBackwards, SlideAlongWall
+from carrl.task.end import End, EndAtContact, NoProgress, RunningBackwards, SlideAlongWall
 from carrl.task.observation import Observation
 from carrl.task.reward import Reward
 from carrl.tracks.track import Track
@@ -189,3 +189,39 @@ def test_a_mount_outside_of_the_car_is_refused():
         Simulator(Track.load("oval"), Kinematic(), Sensor(mount=3))
     with pytest.raises(ConfigError, match=r"sensor.mount is nan; it must be a number of metres"):
         Sensor(mount=math.nan)
+
+
+# What ended an episode
+
+
+def ended_in_a_row(pose, speed, end, steps=2):
+    """The last state of cars at these poses that drive straight on, at this speed, for so many steps."""
+    env = TrackEnv("oval", len(pose), vehicle=Kinematic(), action=ContinuousActions(), end=end, seed=0)
+    now = env.reset()
+    now["state"][:, :3], now["state"][:, 3] = pose, speed
+    for _ in range(steps):
+        now = env.step(now.set("action", torch.zeros(len(pose), 2)))["next"]
+    return now
+
+
+def test_an_end_that_no_wall_brought_is_no_collision():
+    track = Track.load("oval")
+    on_road = TrackEnv(track, 1, seed=0).reset()["pose"][0]
+    sideways = on_road + torch.tensor([0.0, 0.0, math.pi / 2])
+    poses = torch.stack([on_road, sideways])
+    after = ended_in_a_row(poses, 30.0, End({"contact": EndAtContact(), "no_progress": NoProgress(100)}), 2)
+    assert after["terminated"].flatten().tolist() == after["collided"].flatten().tolist() == [False, True]
+    after = ended_in_a_row(poses, 0.0, End({"contact": EndAtContact(), "no_progress": NoProgress(2)}))
+    assert after["terminated"].flatten().tolist() == [True, True]
+    assert after["collided"].flatten().tolist() == [False, False]
+    after = ended_in_a_row(poses, 30.0, End({"contact": SlideAlongWall(), "no_progress": NoProgress(2, speed=1000)}))
+    assert after["terminated"].flatten().tolist() == [True, True]
+    assert not after["collided"].any()  # a wall ends nothing here
+
+
+def test_where_walls_alone_end_episodes_nobody_is_told_which_end_it_was():
+    assert "collided" not in TrackEnv("oval", 1).reset()
+    sliding = TrackEnv(
+        "oval", 1, vehicle=Kinematic(), action=ContinuousActions(), end=End({"contact": SlideAlongWall()})
+    )
+    assert "collided" not in sliding.reset()

@@ -8,10 +8,12 @@ import torch
 from carrl import Sensor, Track, TrackEnv, Vehicle
 from carrl.errors import ConfigError
 from carrl.evaluation.baselines import random_policy, rule_policy
+from carrl.evaluation.results import aggregate
 from carrl.evaluation.rollout import rollout, rollout_laps
 from carrl.sim.kinematic import Kinematic
 from carrl.sim.simulator import Simulator
 from carrl.task.action import ContinuousActions
+from carrl.task.reward import Gate, Reward
 from tests.worlds import make_world
 
 WORLD = make_world()
@@ -52,6 +54,14 @@ def test_a_clean_lap_earns_50_for_each_gate():
     (attempt,) = rollout_laps(WORLD, make_simulator("oval"), rule_policy)
     assert attempt.near_wall_share == 0
     assert attempt.lap_reward == 8 * 50
+
+
+def test_only_a_reward_that_knows_what_is_near_a_wall_has_a_share_of_such_steps():
+    world = make_world("oval", reward=Reward({"gate": Gate()}))
+    (attempt,) = rollout_laps(world, world.simulator(world.track), rule_policy)
+    assert attempt.near_wall_share is None
+    assert "near_wall_share" not in attempt.measures()
+    assert "near_wall_share" not in aggregate([[attempt]], step_length=1.0)
 
 
 def test_the_measures_agree_with_the_environments_own_rewards():

@@ -672,6 +672,14 @@ def test_the_readings_of_a_car_with_pedals_are_its_controls_its_speed_and_its_mo
     assert (text(page, "read-speed"), text(page, "read-action")) == ("4.5 m/s · 16 km/h", "unfinished")
 
 
+def test_a_car_that_hardly_moves_has_the_speed_0(open_page, pedals):
+    states = pedals.columns["state"].copy()
+    states[0, 3] = 5e-4
+    page = open_page(replace(pedals, columns={**pedals.columns, "state": states}))
+    assert text(page, "read-speed") == "0.0 m/s · 0 km/h"
+    assert text(page, "legend").split() == ["speed", "0.0", "7.0", "m/s"]
+
+
 def test_a_car_without_pedals_has_no_instruments(open_page):
     page = open_page()
     assert not page.locator("#instruments").is_visible()

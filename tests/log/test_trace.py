@@ -384,3 +384,12 @@ def test_a_log_of_a_car_with_pedals_is_read_by_every_verb_and_written_in_every_f
     values = dict(zip(heading.split(","), row.split(","), strict=True))
     assert np.float32(values["action_pedal"]) == first[0][1].item()
     assert {"state_speed", "next_state_lateral_acceleration", "log_prob"} <= values.keys()
+
+
+def test_a_trace_that_ended_at_no_wall_is_no_collision(trace):
+    ended = np.zeros((len(trace), 1), dtype=bool)
+    ended[-1] = True
+    columns = {**trace.columns, "terminated": ended, "truncated": ~ended & False}
+    assert dataclasses.replace(trace, columns=columns).ended == "collision"
+    assert dataclasses.replace(trace, columns={**columns, "collided": ended}).ended == "collision"
+    assert dataclasses.replace(trace, columns={**columns, "collided": ~ended & False}).ended == "other end"

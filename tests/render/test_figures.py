@@ -10,6 +10,7 @@ from PIL import Image
 
 from carrl.errors import CarrlError
 from carrl.render import round_number
+from carrl.render.canvas import PixelCanvas
 from carrl.render.car import ray_ends
 from carrl.render.colours import BLACK, BLUE, GREEN, LIGHT, VERMILLION, YELLOW, rgb
 from carrl.render.curves import (
@@ -354,3 +355,23 @@ def read_pixels(path):
 
 def count_of(pixels, colour):
     return int((np.abs(pixels - rgb(colour)).max(axis=-1) <= 2).sum())
+
+
+def test_a_table_of_actions_shows_as_many_in_the_legend_as_there_is_room_for(tmp_path, paper, lap):
+    poses, ranges, actions = lap
+    names = [f"steer {row / 10:+g} pedal {row:+g}" for row in range(40)]
+    often = np.where(actions == 1, 37, actions)
+    options = {"body_radius": 0.5, "sensor_range": 10.0, "title": "a table", "action_names": names}
+    draw_lap(tmp_path / "table.png", paper, poses, ranges, Sensor().angles.numpy(), often, **options)
+    colours = LIGHT.action_colours(len(names))
+    legend = read_pixels(tmp_path / "table.png")[-40:]
+    assert count_of(legend, colours[37]) > 20  # the most frequent one
+    assert count_of(legend[:, :240], LIGHT.ink) < 200  # the scale bar stands there alone
+
+
+def test_words_beside_the_canvas_are_not_drawn():
+    canvas = PixelCanvas(60, 40)
+    canvas.clear(LIGHT.ink)
+    for place in ((-500, 20), (500, 20), (20, -500), (20, 500)):
+        canvas.text(place, "beside", 10, LIGHT.car)
+    assert (canvas.picture() == canvas.picture()[0, 0]).all()

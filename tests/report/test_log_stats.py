@@ -222,3 +222,14 @@ def test_statistics_are_printed_without_torch_and_matplotlib_and_drawn_without_t
         "import carrl.report.log_stats_figure; sys.exit(not light or 'torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_ends_that_no_wall_brought_are_counted_by_themselves(scene, tmp_path):
+    stopped = [episode(4, (10.0, 3.0), ended="other end"), episode(5, (10.0, 3.0), ended="other end")]
+    stats = LogStats.of([*EPISODES, *stopped], scene, ACTION_COUNTS, 0.25)
+    assert stats.ends_counted == {"collision": 3, "time limit": 1, "other end": 2}
+    assert stats.crashes.tolist() == [0, 1, 2]
+    words = "6 episodes ended: 3 by collision (50 %), 1 by the time limit (17 %), 2 by another end (33 %)"
+    assert words in printed(stats, width=120)
+    draw_log_stats(tmp_path / "stats.png", stats, "a log")
+    assert (tmp_path / "stats.png").exists()

@@ -208,7 +208,13 @@ REFUSED = [
     (["action=continuous"], "DQN has a value for each action, and action is made of numbers"),
     (["loss=sac", "network.actor_sizes=[0]"], "network.actor_sizes is [0]; every layer needs at least 1 unit"),
     (["loss=sac", "network.critic_sizes=[100000,100000]"], "network.critic_sizes has 2 layers"),
-    (["loss=sac", "network.activation=gelu"], "network.activation is 'gelu'; it must be of type"),
+    (["loss=sac", "network.activation=gelu"], "network.activation is 'gelu'; it must be relu or tanh or elu"),
+    (["loss=sac", "loss.learn_alpha=false", "loss.target_entropy=-3"], "loss.target_entropy is -3, but with"),
+    (
+        ["loss=sac", "loss.learn_alpha=false", "loss.alpha_rate=7"],
+        "loss.alpha_rate is 7, but with loss.learn_",
+    ),
+    (["vehicle=single_track"], "is controlled by steer, pedal, in this order; set action=continuous"),
     (["loss=td3", "loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning and loss=cql and loss=sac only"),
 ]
 
@@ -248,3 +254,9 @@ def test_learning_from_a_log_of_other_controls_is_refused(log, tmp_path, capsys)
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "its actions are numbers for ['steer'], this car's for ['steer', 'pedal']" in error
+
+
+def test_a_log_of_numbers_is_none_of_named_actions(log, tmp_path, capsys):
+    overrides = ["data=log", f"data.path={log}", "compile=false"]
+    assert main(["train", *overrides, f"hydra.run.dir={tmp_path / 'run'}"]) == 2
+    assert "its actions are numbers, this car's are ['forward', 'left', 'right']" in capsys.readouterr().err

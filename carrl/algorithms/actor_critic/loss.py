@@ -198,10 +198,16 @@ class SAC(ActorCriticLoss):
     draws = 2
 
     def __post_init__(self) -> None:
-        """Raises ConfigError for a temperature that is not positive."""
+        """Raises ConfigError for a temperature that is not positive, or what only matters to one that is learnt."""
         super().__post_init__()
         _check_rate("alpha", self.alpha)
         _check_rate("alpha_rate", self.alpha_rate)
+        for name, default in (("target_entropy", None), ("alpha_rate", 1.0)):
+            if not self.learn_alpha and getattr(self, name) != default:
+                raise ConfigError(
+                    f"loss.{name} is {getattr(self, name)}, but with loss.learn_alpha=false the temperature stays "
+                    "as it is; set loss.learn_alpha=true"
+                )
 
     @property
     def rates(self) -> Mapping[str, float]:

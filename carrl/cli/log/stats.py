@@ -115,13 +115,12 @@ def _check_episodes(log: Log, episodes: Sequence[Episode], scene: Scene) -> None
 
 def _document(stats: LogStats) -> dict[str, Any]:
     total = int(stats.action_counts.sum())
-    crashed = int(stats.collided.sum())
     return {
         "transitions": total,
         "exploratory_share": stats.exploratory_share,
         **_actions(stats, total),
         "episodes_ended": len(stats),
-        "ended": {"collision": crashed, "time limit": len(stats) - crashed},
+        "ended": stats.ends_counted,
         "laps": int(stats.laps.sum()),
         "episodes_lapped": int(np.count_nonzero(stats.laps)),
         "episode_return": _spread(stats.returns),

@@ -27,7 +27,12 @@ LEAST_MAP_ROWS, MOST_MAP_ROWS = 14, 2 * CHART_ROWS + 2
 GAP = 3
 """Between map and charts, characters."""
 START = Ink("S", DARK.car)
-END_NAMES = {"collision": "collision", "time limit": "time limit", "unfinished": "the record ends"}
+END_NAMES = {
+    "collision": "collision",
+    "time limit": "time limit",
+    "other end": "other end",
+    "unfinished": "the record ends",
+}
 FIRST, LAST = 5, 15
 """Of a longer episode, the table has so many of the first and of the last steps."""
 WIDE = 100

@@ -28,6 +28,7 @@ DENSITIES = 0.15, 0.5
 AMOUNTS = "few", "some", "many"
 MOST_GATE_NUMBERS = 12
 START = Ink("S", DARK.ray)
+ENDS = {"collision": "collision", "time limit": "the time limit", "other end": "another end"}
 MOST_BLOCKS = 60
 """Points of the curve of returns."""
 
@@ -49,12 +50,11 @@ def _headline(stats: LogStats) -> Text:
         steps += f", {100 * stats.exploratory_share:.0f} % of them drawn at random"
     if not len(stats):
         return Text(f"{steps}\n{NO_EPISODE}")
-    crashes, laps = int(stats.collided.sum()), int((stats.laps > 0).sum())
-    share = 100 / len(stats)
+    laps, share = int((stats.laps > 0).sum()), 100 / len(stats)
+    ends = (f"{count:,} by {ENDS[name]} ({share * count:.0f} %)" for name, count in stats.ends_counted.items())
     return Text("\n").join(
         [
-            Text(f"{len(stats):,} episodes ended: {crashes:,} by collision ({share * crashes:.0f} %), ")
-            + Text(f"{len(stats) - crashes:,} by the time limit ({share * (len(stats) - crashes):.0f} %)"),
+            Text(f"{len(stats):,} episodes ended: {', '.join(ends)}"),
             Text(f"{stats.laps.sum():,} laps, in {laps:,} episode{'s' * (laps != 1)} ({share * laps:.0f} %)"),
             Text(steps),
         ]

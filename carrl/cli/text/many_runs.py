@@ -69,7 +69,8 @@ class SweepConsole:
             (note.name, note.state, *_figures(read_summaries(folder)), _time(note)) for folder, note in notes.items()
         ]
         if rows:
-            print_table(f"{len(rows)} of {max(self._jobs, len(rows))} jobs", _HEADER, rows)
+            header = [*_HEADER[:-2], _style_of([row[-2] for row in rows]), _HEADER[-1]]
+            print_table(f"{len(rows)} of {max(self._jobs, len(rows))} jobs", header, rows)
         console = Console(soft_wrap=True, highlight=False)
         for note in notes.values():
             if note.error is not None:
@@ -88,6 +89,12 @@ class SweepConsole:
         wait = f"; about {_duration(seconds)} left" if seconds and note.state == "finished" else ""
         took = "" if note.state == "finished before" else f" after {_duration(note.seconds)}"
         return f"{note.state}{took}: {_result(read_summaries(folder))}{wait}"
+
+
+def _style_of(cells: Sequence[str]) -> str:
+    """What a column tells of how cars drive: their speed, the share of steps forward, or both."""
+    names = {"mean speed" if cell.endswith("m/s") else "forward" for cell in cells if cell}
+    return " or ".join(sorted(names)) or _HEADER[-2]
 
 
 def _result(summaries: Sequence[Mapping[str, Any]]) -> str:

@@ -13,6 +13,9 @@ function formatNumber(value, digits) {
   return (Number(text.replaceAll(",", "")) === 0 ? "" : sign) + text;
 }
 
+// A measured value, of which less than half the last digit is nothing.
+const formatMeasured = (value, digits) => formatNumber(Number(value.toFixed(digits)), digits);
+
 // As many digits as a value needs: 50, 0.25, but at most two.
 const formatReward = (value) => formatNumber(value, Number.isInteger(value) ? 0 : Math.abs(value) < 100 ? 2 : 1);
 const formatSigned = (value) => (value > 0 ? "+" : "") + formatReward(value);

@@ -56,7 +56,7 @@ function drawWheel(context, episode, colours, place, step) {
   fillDisc(context, 0, -0.88 * radius, Math.max(0.1 * radius, 2)); // the wheel's top
   context.restore();
   const degrees = angle === undefined ? "" : ` · ${angleOf(angle)}`;
-  writeBelow(context, colours, { x: place.x, y: place.y - 8 }, radius, `${control === undefined ? "" : `steer ${formatNumber(control, 2)}`}${degrees}`.replace(/^ · /, ""));
+  writeBelow(context, colours, { x: place.x, y: place.y - 8 }, radius, `${control === undefined ? "" : `steer ${formatMeasured(control, 2)}`}${degrees}`.replace(/^ · /, ""));
 }
 
 const angleOf = (angle) => `${formatNumber(Math.abs((angle * 180) / Math.PI), 0)}°${Math.abs(angle) < 0.0087 ? "" : angle > 0 ? " L" : " R"}`;
@@ -116,7 +116,7 @@ function drawFriction(context, episode, colours, place, step) {
   drawDot(context, colours, ...at(step), colours["action-1"], 4);
   const force = Math.hypot(ahead(step), aside(step)) / GRAVITY;
   const most = episode.friction ? ` of ${formatNumber(episode.friction, 2)}` : "";
-  writeBelow(context, colours, { x, y }, radius, `${formatNumber(force, 2)}${most} g`);
+  writeBelow(context, colours, { x, y }, radius, `${formatMeasured(force, 2)}${most} g`);
 }
 
 function labelRing(context, colours, { value, text }, x, y, scale) {

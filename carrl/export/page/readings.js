@@ -3,6 +3,7 @@
 const ENDINGS = {
   collision: "ended by a collision",
   "time limit": "cut at the time limit",
+  "other end": "ended, not at a wall",
   unfinished: "unfinished in the log",
 };
 
@@ -27,7 +28,7 @@ function showFacts(episode) {
 
 function showLegend(episode) {
   if (episode.speedSpan) {
-    const [least, greatest] = episode.speedSpan.map((speed) => formatNumber(speed, 1));
+    const [least, greatest] = episode.speedSpan.map((speed) => formatMeasured(speed, 1));
     byId("legend").setAttribute("aria-label", "Speed");
     byId("legend").replaceChildren(element("li", "", `speed ${least}`, element("span", "speed-bar"), `${greatest} m/s`));
     return;
@@ -80,7 +81,7 @@ function showMoment(episode, step) {
 
 function showSpeed(episode, step) {
   const speed = valuesNamed(episode, "speed")?.(step);
-  if (speed !== undefined) byId("read-speed").textContent = `${formatNumber(speed, 1)} m/s · ${formatNumber(3.6 * speed, 0)} km/h`;
+  if (speed !== undefined) byId("read-speed").textContent = `${formatMeasured(speed, 1)} m/s · ${formatMeasured(3.6 * speed, 0)} km/h`;
 }
 
 function chosenAction(episode, step) {
@@ -119,7 +120,7 @@ function makeNumberCells(episode) {
 function showNumbers(episode, step, cells) {
   for (const { place, unit, valueAt } of cells) {
     const value = valueAt(step); // of some there is none after the last step
-    place.textContent = value === undefined ? "–" : unit ? `${formatNumber(value, 2)} ${unit}` : formatNumber(value, 3);
+    place.textContent = value === undefined ? "–" : unit ? `${formatMeasured(value, 2)} ${unit}` : formatNumber(value, 3);
   }
 }
 
