@@ -79,7 +79,7 @@ def test_rollouts_are_finite_follow_the_seed_and_keep_their_state(vehicle, rewar
 
 def test_one_pushes_on_through_contact_and_no_progress_ends_it():
     """A car that stands ends after as many steps as are said; one that slides along a wall does not."""
-    parts = parts_of("racer", "torcs")
+    parts = parts_of("racer", "torcs") | {"end": End({"contact": SlideAlongWall(), "no_progress": NoProgress(100)})}
     env = TrackEnv("oval", 2, vehicle=Kinematic(), **parts)
     state, ends, touched = env.reset(), None, False
     for step in range(1, 102):
