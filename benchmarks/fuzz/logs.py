@@ -98,7 +98,11 @@ class LogFile(Parser):
                 small = Episode(number, 0, 0, 9, 0, draw.choice(_TIMES), -1.5, 5, 1, 0, ended, pose)  # type: ignore
                 content = encode_small(topic, run, small)
             else:
-                content = encode_small(topic, run, Metrics(number, 1, float("nan"), 1.5, -2.0, 0.9, 1234.5))
+                content = encode_small(
+                    topic,
+                    run,
+                    Metrics(number, 1, float("nan"), 1234.5, {"td_error": 1.5, "action_value": -2.0, "epsilon": 0.9}),
+                )
             if draw.random() < 0.15:
                 content = mutate(draw, content, [content])
             channel = CHANNELS[topic] if draw.random() < 0.97 else draw.choice((0, 1, 2, 3, 4, 65535))

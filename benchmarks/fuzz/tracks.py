@@ -16,7 +16,7 @@ from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import Simulator
 from carrl.sim.vehicle import Vehicle
 from carrl.tracks.csv_file import COLUMNS
-from carrl.tracks.drawing_file import DRAWINGS
+from carrl.tracks.drawing_file import DRAWINGS, Drawing
 from carrl.tracks.inspection import inspect_track
 from carrl.tracks.track import Track
 
@@ -80,7 +80,7 @@ class TrackDrawing(TrackParser):
     def make(self, draw: Random) -> None:
         """A built-in drawing, or points, with values or the text changed."""
         drawing = DRAWINGS[draw.choice(list(DRAWINGS))]
-        if draw.random() < 0.5:
+        if isinstance(drawing, Drawing) and draw.random() < 0.5:
             corners = [list(corner) for corner in drawing.corners]
             values = {"corners": corners, "corner_radius": drawing.corner_radius, "width": drawing.width, "gates": 8}
         else:

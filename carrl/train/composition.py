@@ -134,7 +134,9 @@ def explain(error: Exception) -> str:
         group = key.partition(".")[0]
         options = [f"{group}={option}" for option in options_with(group) if key in real_keys(group, option)]
         choice = "one of these" if options[1:] else "it"
-        return f"{key} is a key of {' and '.join(options)} only; choose {choice}, too"
+        *others, last = options
+        them = f"{', '.join(others)} and {last}" if others else last
+        return f"{key} is a key of {them} only; choose {choice}, too"
     return f"there is no key {shown_key(key)}{did_you_mean_key(key)}"
 
 
@@ -168,6 +170,7 @@ def nearest_keys(key: str) -> list[str]:
         scores[real] = max(difflib.SequenceMatcher(None, *pair).ratio() for pair in names)
     best = max(scores.values())
     found = [real for real, score in scores.items() if score == best] if best >= CLOSE else []
+    found.sort(key=lambda real: -difflib.SequenceMatcher(None, key, real).ratio())
     return [real for real in found if "." not in real] or found[:_MOST]
 
 

@@ -44,8 +44,8 @@ def test_a_generic_protobuf_reader_decodes_the_same_numbers(log_path):
     for topic, messages in (("/episodes", read_episodes(log_path)), ("/metrics", read_metrics(log_path))):
         for (_, _, values), message in zip(found[topic], messages, strict=True):
             assert {type(value) for value in values.values()} <= {int, float, str, list}
-            for name in message._fields:
-                expected = getattr(message, name)
+            fields = message.row() if topic == "/metrics" else message._asdict()
+            for name, expected in fields.items():
                 assert values[name] == (list(expected) if isinstance(expected, tuple) else expected)
     runs = {values["run"] for messages in found.values() for _, _, values in messages}
     assert len(runs) == 1

@@ -192,7 +192,7 @@ def test_the_heading_wraps_as_in_torch(half_turns: int, turn_radius: float):
         assert after.abs().max() <= torch.tensor(math.pi)
 
 
-@pytest.mark.parametrize("name", builtin_names())
+@pytest.mark.parametrize("name", ["oval", "paper", "serpentine"])
 def test_episodes_end_as_in_torch_after_hundreds_of_steps(name: str):
     """The rule drives, and sometimes chance, until the car collides."""
     compiled, plain = both(Track.load(name))

@@ -323,7 +323,8 @@ class DQNRecipe:
                 "DQN has a value for each action, and action is made of numbers; set an action of discrete choices, "
                 "such as steer3, or loss=sac"
             )
-        exponent = config["network"].get("input_exponent", 1.0)
+        node = config["network"]
+        exponent = node.get("input_exponent", 1.0) if isinstance(node, Mapping) else 1.0
         negative = [part.name for part in world.observation.parts(world.sensor, world.action) if part.low < 0]
         if exponent != 1 and negative:
             raise ConfigError(
