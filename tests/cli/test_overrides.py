@@ -55,7 +55,7 @@ IGNORED_ONCE = [
     (["experiment=fsat"], "experiment has no option fsat; did you mean fast, or one of: "),
     (["loss.gama=1"], "there is no key loss.gama; did you mean loss.gamma?"),
     (["+loss.gama=1"], "loss has no key 'gama'; make_dqn_loss takes gamma, "),
-    (["loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning, loss=cql and loss=sac only; choose one of these, too"),
+    (["loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning, loss=cql and loss=sac only; choose one of"),
     (["data.updates=1"], "data.updates is a key of data=log only; choose it, too"),
     (["+learning_rate.final_share=1"], "learning_rate.final_share has no effect, as no learning_rate is chosen; add "),
     (["~loss"], "loss is left out, but training needs it; choose loss=advantage_learning|cql|"),
