@@ -41,7 +41,7 @@ def compared(overrides, updates=50):
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize(("name", "seeds"), [("ddpg", "[1,2,3]"), ("td3", "[1]"), ("sac", "[1,2,3]")])
+@pytest.mark.parametrize(("name", "seeds"), [("ddpg", "[1]"), ("td3", "[1]"), ("sac", "[1,2,3]")])
 def test_50_compiled_updates_equal_50_eager_ones(name, seeds, caplog):
     assert compared([*LOSSES[name], f"trainer.seeds={seeds}"]) < 1e-4
     assert not any("eagerly" in record.message for record in caplog.records)
@@ -215,7 +215,7 @@ REFUSED = [
         "loss.alpha_rate is 7, but with loss.learn_",
     ),
     (["vehicle=single_track"], "is controlled by steer, pedal, in this order; set action=continuous"),
-    (["loss=td3", "loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning and loss=cql and loss=sac only"),
+    (["loss=td3", "loss.alpha=1"], "loss.alpha is a key of loss=advantage_learning, loss=cql and loss=sac only"),
 ]
 
 
