@@ -147,7 +147,7 @@ def rollout(
         moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
         last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
-        driving &= ~(ended | _has_driven(simulator, outcome.cars, laps)) & (step < limits)
+        driving &= ~(ended | simulator.has_lapped(outcome.cars, laps)) & (step < limits)
         if not driving.any():
             break
     return _sum_up(_Moment.stack(moments), limits, task, stations, kept, laps)
@@ -200,14 +200,14 @@ def _sum_up(
 ) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator = task.simulator
-    ended = course.ended | _has_driven(simulator, course.cars, laps)
+    ended = course.ended | simulator.has_lapped(course.cars, laps)
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
     lap_reward, steering_reward = _earned(course, task)
     steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
     progress = _progress(simulator, last, stations, laps).tolist()
-    lapped = _has_driven(simulator, last, laps).tolist()
-    flying = _has_driven(simulator, course.cars, laps - 1)
+    lapped = simulator.has_lapped(last, laps).tolist()
+    flying = simulator.has_lapped(course.cars, laps - 1)
     begins = torch.where(flying.any(0), flying.int().argmax(0), 0).tolist()
     drives = []
     for car, (begin, end) in enumerate(zip(begins, lengths.tolist(), strict=True)):
@@ -238,11 +238,6 @@ def _sum_up(
         begin = lengths[car].item() - drives[car].lap_steps
         drives[car] = _with_trajectory(drives[car], course[begin:, car], simulator)
     return drives
-
-
-def _has_driven(simulator: Simulator, cars: CarState, laps: int) -> Tensor:
-    """Whether cars have passed the gates of so many laps, [...], bool."""
-    return cars.gates_passed >= laps * simulator.gate_counts[cars.track]
 
 
 def _progress(simulator: Simulator, cars: CarState, stations: Tensor, laps: int) -> Tensor:
@@ -276,7 +271,7 @@ def _steering(steer: Tensor, distance: float, named: bool) -> dict[str, Any]:
 def _motion(cars: CarState, simulator: Simulator) -> dict[str, Any]:
     """How fast and how far a car drove between these moments [T + 1]; None for one whose speed never varies."""
     vehicle = simulator.vehicle
-    if "speed" not in vehicle.state_names:
+    if not _has_speed(simulator):
         return {"mean_speed": None, "distance": None}
     ways = cars.pose[:, :2].double().diff(dim=0)
     distance = torch.linalg.vector_norm(ways, dim=-1).sum().item()

@@ -295,9 +295,9 @@ class Simulator:
             return self.places.on_the_way(cars.state, cars.track, cars.next_gate)
         return self.places.after(cars.state, cars.track, cars.station)
 
-    def has_lapped(self, cars: CarState) -> Tensor:
-        """Whether each car has passed all gates since its start: [B], bool."""
-        return cars.gates_passed >= self.gate_counts[cars.track]
+    def has_lapped(self, cars: CarState, laps: int = 1) -> Tensor:
+        """Whether each car has passed all gates so many times since its start: [...], bool."""
+        return cars.gates_passed >= laps * self.gate_counts[cars.track]
 
     def gate_distance(self, cars: CarState) -> Tensor:
         """How far each car is from the middle of the gate that counts next, in a straight line, [B], float32, m."""
