@@ -69,15 +69,25 @@ EVERYTHING = (
 )
 
 
-@needs_compiler
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
-def test_whatever_an_update_is_made_with_it_is_compiled_with_the_same_numbers(overrides, caplog):
+def assert_same_numbers(overrides, caplog):
+    """Whether 60 updates of two replicates find the same losses, compiled and eagerly."""
     overrides = (*overrides, "trainer.seeds=[1,2]")
     eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
     torch.testing.assert_close(updated(compiled, 60), updated(eager, 60), rtol=1e-3, atol=0)
     assert not any("eagerly" in message for message in messages(caplog))
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_an_update_that_is_given_noise_and_weights_is_compiled_with_the_same_numbers(caplog):
+    assert_same_numbers(EVERYTHING[0], caplog)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("overrides", EVERYTHING[1:], ids=" ".join)
+def test_whatever_an_update_is_made_with_it_is_traced_with_the_same_numbers(overrides, traced, caplog):
+    assert_same_numbers(overrides, caplog)
 
 
 @pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
