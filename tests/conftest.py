@@ -10,6 +10,12 @@ from tests.small_episode import scene, trace, track_shape  # noqa: F401 (fixture
 REAL_CIRCUITS = Path(__file__).resolve().parents[2] / "shared" / "tracks" / "real"
 
 
+def pytest_collection_modifyitems(items):
+    """Puts files with slow tests first, so that no core begins one of them when the others are nearly done."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session")
 def real_circuits() -> Path:
     """The folder of real circuits' centrelines, which stands beside the repository where it is present at all."""

@@ -288,9 +288,9 @@ def test_an_unknown_verb_is_one_usage_line_and_exit_code_2(arguments):
 
 @pytest.mark.slow
 def test_real_runs_are_killed_and_recovered():
-    tiny = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=320", "replay_buffer.batch_size=16"]
-    command = [sys.executable, "-m", "benchmarks.log_faults.kills", "--kills", "6", "--run-seeds", "1", *tiny]
+    tiny = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=160", "replay_buffer.batch_size=16"]
+    command = [sys.executable, "-m", "benchmarks.log_faults.kills", "--kills", "3", "--run-seeds", "1", *tiny]
     done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "kill 6 of 6" in done.stderr
+    assert "kill 3 of 3" in done.stderr
     assert "FAULT" not in done.stdout

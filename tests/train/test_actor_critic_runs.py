@@ -41,9 +41,15 @@ def compared(overrides, updates=50):
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize(("name", "seeds"), [("ddpg", "[1]"), ("td3", "[1]"), ("sac", "[1,2,3]")])
+@pytest.mark.parametrize(("name", "seeds"), [("td3", "[1]"), ("sac", "[1,2]")])
 def test_50_compiled_updates_equal_50_eager_ones(name, seeds, caplog):
     assert compared([*LOSSES[name], f"trainer.seeds={seeds}"]) < 1e-4
+    assert not any("eagerly" in record.message for record in caplog.records)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_50_traced_updates_equal_50_eager_ones(traced, caplog):
+    assert compared(LOSSES["ddpg"]) < 1e-4
     assert not any("eagerly" in record.message for record in caplog.records)
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import math
-import shutil
 from contextlib import ExitStack
 
 import pytest
@@ -19,8 +18,6 @@ from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.data.logs import logged_transitions, write_log
 from tests.train.rounds import AfterRounds
-
-needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
 
 
 @pytest.fixture(scope="module")
@@ -205,10 +202,8 @@ def test_plans_that_allow_nothing_are_refused():
         OfflinePlan([], 1)
 
 
-@needs_compiler
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_200_compiled_updates_with_cql_equal_200_eager_ones(log_path, caplog):
+def test_200_traced_updates_with_cql_equal_200_eager_ones(log_path, traced, caplog):
     overrides = ("loss=cql", "trainer.seeds=[1,2]", "target_updater.period=50", "optimizer.lr=1e-3")
     eager, compiled = build(log_path, *overrides), build(log_path, *overrides, "compile=true")
     for _ in range(200):
