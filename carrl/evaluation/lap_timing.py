@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from carrl.sim.crossing import Floats, crossing_shares, time_shares
+from carrl.sim.crossing import AT_LINE, Floats, crossing_shares, time_shares
 from carrl.sim.simulator import CarState, Simulator
 
 SECTORS = 3
@@ -36,28 +36,30 @@ class LapTiming:
         """Lays the lines across the road."""
         track = cars.track.cpu()
         self._vehicle, self._laps = simulator.vehicle, laps
-        lengths, gate_counts = simulator.routes.lengths[track], simulator.gate_counts.cpu()[track]
-        self._start, self._gap = stations.cpu() % lengths, lengths / gate_counts
-        self._lengths, first_gate = lengths, (cars.next_gate.cpu() + 1) * self._gap
-        self._first_gate = torch.where(first_gate <= self._start, first_gate + lengths, first_gate)
-        places = self._start[:, None] + lengths[:, None] * torch.arange(1, SECTORS + 1) / SECTORS
-        ends = simulator.routes.walls(track.repeat_interleave(SECTORS), places.flatten())
+        length = simulator.routes.lengths[track]
+        start, gap = stations.cpu() % length, length / simulator.gate_counts.cpu()[track]
+        first_gate = (cars.next_gate.cpu() + 1) * gap
+        first_gate = torch.where(first_gate <= start, first_gate + length, first_gate)
+        places = start[:, None] + length[:, None] * torch.arange(1, laps * SECTORS + 1) / SECTORS
+        ends = simulator.routes.walls(track.repeat_interleave(SECTORS), places[:, :SECTORS].flatten())
         self._lines = ends.view(-1, SECTORS, 2, 2).numpy()
-        self._gates_near_the_end = self._gates_before(laps * SECTORS - 1) - 1
-        self._has_ended = np.zeros(len(track), dtype=np.bool_)
+        gates_before = ((places - first_gate[:, None]) / gap[:, None]).floor().long().clamp(min=-1) + 1
+        self._gates_before = gates_before.numpy()
+        last_gate = first_gate + laps * length - gap
+        self._goes_on = (last_gate < places[:, -1] - AT_LINE / 2).to(cars.track.device)
+        self._has_ended = ~self._goes_on
 
-    def has_ended(self, before: CarState, after: CarState) -> Tensor:
-        """Whether each car has crossed the line of its last lap by the end of this step, [B], bool.
+    def has_ended(self, before: CarState, after: CarState, has_lapped: Tensor) -> Tensor:
+        """Whether each car has come to the line of its last lap by the end of this step, [B], bool.
 
-        To be told of every step in turn.
+        To be told of every step in turn, and which cars have passed all gates of their laps after it, [B].
         """
-        near = after.gates_passed.cpu() >= self._gates_near_the_end
-        if near.any():
+        if (has_lapped & self._goes_on).any():
             begin, end = (cars.pose[:, :2].double().cpu().numpy() for cars in (before, after))
             with np.errstate(invalid="ignore"):  # of a car that touched a wall since its place is no number
                 crosses = ~np.isnan(crossing_shares(self._lines[:, -1], begin, end))
-            self._has_ended |= near.numpy() & crosses
-        return torch.from_numpy(self._has_ended).to(after.gates_passed.device)
+            self._has_ended |= has_lapped & torch.from_numpy(crosses).to(has_lapped.device)
+        return has_lapped & self._has_ended
 
     def sector_times(self, course: CarState, lengths: Tensor) -> list[SectorTimes]:
         """The times of each car.
@@ -91,7 +93,7 @@ class LapTiming:
         It is looked for from the gate before the last one ahead of the line to the first one behind it: where the two
         stand in the same place, their order is a matter of rounding.
         """
-        gates = int(self._gates_before(line)[car])
+        gates = int(self._gates_before[car, line])
         begin, end = (int(passed.searchsorted(count)) for count in (gates - 1, gates + 1))
         near = states[max(begin - 1, 0) : end + 1]
         shares = crossing_shares(self._lines[car, line % SECTORS], near[:-1, :2], near[1:, :2])
@@ -104,8 +106,3 @@ class LapTiming:
             speeds = near[step : step + 2, self._vehicle.state_names.index("speed")]
             share = time_shares(share, speeds[0], speeds[1])
         return float((max(begin - 1, 0) + step + share) * self._vehicle.time_step)
-
-    def _gates_before(self, line: int) -> Tensor:
-        """How many gates each car passes before a line, [B], int64."""
-        place = self._start + self._lengths * (line + 1) / SECTORS
-        return ((place - self._first_gate) / self._gap).floor().long().clamp(min=-1) + 1

@@ -157,7 +157,8 @@ def rollout(
         moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
         last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
-        has_come_round = timing.has_ended(moments[-2].cars, outcome.cars) & simulator.has_lapped(outcome.cars, laps)
+        has_lapped = simulator.has_lapped(outcome.cars, laps)
+        has_come_round = timing.has_ended(moments[-2].cars, outcome.cars, has_lapped)
         driving &= ~(ended | has_come_round) & (step < limits)
         if not driving.any():
             break

@@ -7,6 +7,7 @@ an episode that begins between two gates has its first lap once it has come to t
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carrl.log.trace import EpisodeTrace
 from carrl.sim.crossing import AT_LINE, Floats, crossing_shares, time_shares
@@ -41,9 +42,9 @@ def recorded_laps(trace: EpisodeTrace) -> list[RecordedLap]:
     if _stands_on(line, trace.poses[0, :2]):
         rows, times = [0, *rows], [0.0, *times]
     contacts = np.asarray(trace.columns.get("collided", np.zeros(len(trace))), dtype=np.bool_)
-    touched = contacts.reshape(len(trace), -1).any(1)
+    touched = np.flatnonzero(contacts.reshape(len(trace), -1).any(axis=1))
     pairs = zip(rows, rows[1:], np.diff(times).tolist(), strict=False)
-    return [RecordedLap(end, seconds, not touched[begin : end + 1].any()) for begin, end, seconds in pairs]
+    return [RecordedLap(end, seconds, not _any_within(touched, begin, end)) for begin, end, seconds in pairs]
 
 
 def _crossing_time(trace: EpisodeTrace, line: Floats, row: int) -> float | None:
@@ -57,6 +58,11 @@ def _crossing_time(trace: EpisodeTrace, line: Floats, row: int) -> float | None:
     if speeds is not None:
         share = time_shares(share, speeds[row], speeds[row + 1])
     return float(trace.times[row] - trace.times[0] + share * trace.scene.time_step)
+
+
+def _any_within(rows: NDArray[np.int64], begin: int, end: int) -> bool:
+    """Whether any of the rows is between these, both included."""
+    return bool(((rows >= begin) & (rows <= end)).any())
 
 
 def _stands_on(line: Floats, place: Floats) -> bool:
