@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,6 +11,7 @@ import torch
 
 from carrl.cli.parser import Parser, add_trust
 from carrl.cli.text.console import warn
+from carrl.cli.text.lap_times import print_lap_times
 from carrl.cli.text.many_runs import print_table
 from carrl.errors import ConfigError, printable
 from carrl.train.experiment import road_warning
@@ -48,7 +50,15 @@ def main(argv: list[str]) -> int:
     for path, reason in refused.items():
         print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
     warn(road_warning(tracks or world.circuits.validation, world))
-    document = run.evaluate(tracks, arguments.starts, arguments.policy, arguments.checkpoint or "best", arguments.laps)
+    document = run.evaluate(
+        tracks,
+        arguments.starts,
+        arguments.policy,
+        arguments.checkpoint or "best",
+        arguments.laps,
+        limits=_limits(arguments.limit),
+        speed_trace=arguments.speed_trace,
+    )
     document |= {"run": arguments.run, **({"refused": refused} if refused else {})}
     if arguments.json:
         print(json.dumps(document, indent=2))
@@ -74,6 +84,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--laps", type=int, default=1, metavar="N", help="laps in a row, of which the last, a flying lap, is measured"
     )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="TRACK=SECONDS",
+        help="the least time for a flying lap there, to compare lap times with; may be repeated",
+    )
+    parser.add_argument(
+        "--speed-trace", metavar="FILE.csv", help="write time, place and speed at each step of the measured laps"
+    )
     parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
     parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
     add_trust(parser)
@@ -81,8 +101,29 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _limits(texts: Sequence[str]) -> dict[str, float]:
+    """The limits of tracks as typed.
+
+    Raises:
+        ConfigError: one is not written as TRACK=SECONDS, or there are two of a track.
+    """
+    limits: dict[str, float] = {}
+    for text in texts:
+        name, _, seconds = text.rpartition("=")
+        try:
+            limit = float(seconds)
+        except ValueError:
+            limit = math.nan
+        if not name or math.isnan(limit):
+            raise ConfigError(f"--limit is {text!r}; write it as TRACK=SECONDS, such as oval=20.5")
+        if name in limits:
+            raise ConfigError(f"--limit is given twice for track '{name}'; leave one of them out")
+        limits[name] = limit
+    return limits
+
+
 def print_evaluation(document: Figures) -> None:
-    """Prints a table of the tracks and, of several runs, one of these."""
+    """Prints tables of the tracks, of their lap times and, of several runs, one of these."""
     tracks, name = document["tracks"], f"{document['policy']} policy"
     everything = [document["all"], *([document["all"]["rule"]] if "rule" in document["all"] else [])]
     styles = [key for key in STYLES if any(key in figures for figures in everything)]
@@ -91,6 +132,7 @@ def print_evaluation(document: Figures) -> None:
     if len(tracks) > 1:
         rows += _rows(f"all {len(tracks)} tracks", document["all"], styles)
     print_table(f"{name} of {document['run']}", ("track", *header), rows)
+    print_lap_times(tracks)
     runs = document.get("runs", ())
     if runs:
         print_table(f"{name} of each run, all tracks", ("seed", *header), _rows_of_runs(runs, document["all"], styles))

@@ -12,17 +12,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.evaluation.intervals import mean_interval, rate_interval, share_interval
+from carrl.evaluation.lap_timing import SECTORS, SectorTimes
+
 MEANS = (
     *("progress", "lap_reward", "lap_steps", "forward_share", "switches_per_100m"),
-    *("mean_speed", "steering_change", "near_wall_share"),
+    *("mean_speed", "steering_change", "grip_mean", "near_wall_share"),
 )
 """Measures of a drive that are averaged, as far as it has them."""
 TRAJECTORY = ("poses", "ranges", "actions", "speeds")
-CONFIDENCE = 0.95
+DECIMALS = 3
+"""Of lap times for machines, s."""
 LEAST_KM = 1e-3
 """By which a count of collisions is divided at least: a car may stand still."""
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -41,9 +43,11 @@ class DrivingStyle:
 
     def written(self, drive: Mapping[str, Any]) -> str:
         """The value of a drive's measures, "-" if there is none."""
-        return f"{drive[self.key]:{self.form}}" if self.key in drive else "-"
+        return "-" if drive.get(self.key) is None else f"{drive[self.key]:{self.form}}"
 
 
+LAP_TIME = DrivingStyle("lap_time", "lap, s", ".2f")
+"""Of every car, but for drives of older versions."""
 BY_NAME = (
     DrivingStyle("forward_share", "forward share", ".0%"),
     DrivingStyle("switches_per_100m", "switches / 100 m", ".1f"),
@@ -58,9 +62,9 @@ BY_NUMBER = (
 
 
 def styles_of(drives: Iterable[Mapping[str, Any]]) -> tuple[DrivingStyle, ...]:
-    """Those that any of the drives' measures have; `BY_NAME` of none."""
+    """Those that any of the drives' measures have, the lap time first; `BY_NAME` of none."""
     keys = {key for drive in drives for key in drive}
-    return tuple(style for style in (*BY_NAME, *BY_NUMBER) if style.key in keys) or BY_NAME
+    return tuple(style for style in (LAP_TIME, *BY_NAME, *BY_NUMBER) if style.key in keys) or BY_NAME
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,10 @@ class Rollout:
         mean_speed: m/s; None of a car whose speed never varies, as are the next two.
         distance: driven, m.
         speeds: at each pose, [T + 1], m/s.
+        grip_mean: of the tyres, the share of the limit of grip used, mu g, over the steps; None where it is not known,
+            as is the next one.
+        grip_greatest: the greatest of these shares.
+        sector_times: of each lap that was begun, see `carrl.evaluation.lap_timing`; a lap with all three counts.
     """
 
     start: float
@@ -107,10 +115,43 @@ class Rollout:
     mean_speed: float | None = None
     distance: float | None = None
     speeds: np.ndarray | None = field(default=None, repr=False)
+    grip_mean: float | None = None
+    grip_greatest: float | None = None
+    sector_times: SectorTimes = ()
+
+    @property
+    def lap_times(self) -> tuple[float, ...]:
+        """Of the laps that count, in order, s."""
+        return tuple(math.fsum(sectors) for sectors in self.sector_times if len(sectors) == SECTORS)
+
+    @property
+    def lap_time(self) -> float | None:
+        """Of the lap that is measured, s; None if it does not count, as where the car touched a wall."""
+        counts = self.lap_completed and self.sector_times and len(self.sector_times[-1]) == SECTORS
+        return self.lap_times[-1] if counts else None
+
+    @property
+    def standing_laps(self) -> int:
+        """How many laps began at rest: the first one of a car whose speed varies."""
+        return int(self.mean_speed is not None)
 
     def measures(self) -> dict[str, Any]:
-        """The figures without the trajectory, ready for JSON."""
-        return {name: value for name, value in vars(self).items() if name not in TRAJECTORY and value is not None}
+        """The figures without the trajectory and the sectors, ready for JSON."""
+        left_out = (*TRAJECTORY, "sector_times")
+        figures = {name: value for name, value in vars(self).items() if name not in left_out and value is not None}
+        return figures | {"lap_time": rounded(self.lap_time)}
+
+    def laps(self) -> list[dict[str, Any]]:
+        """Each lap that was begun, ready for JSON; the time of one that does not count is None."""
+        return [
+            {
+                "lap": number,
+                "start": "standing" if number <= self.standing_laps else "flying",
+                "time_s": rounded(math.fsum(sectors)) if len(sectors) == SECTORS else None,
+                "sectors_s": [rounded(sector) for sector in sectors],
+            }
+            for number, sectors in enumerate(self.sector_times, start=1)
+        ]
 
     def with_trajectory(self, kept: bool) -> "Rollout":
         """The same with a trajectory of its own, or without one: no more memory than that is held."""
@@ -175,24 +216,42 @@ class EvaluationResult:
 
     @property
     def quality(self) -> tuple[float, ...]:
-        """Orders trials: by complete laps, progress, reward and how they steer; of a car whose speed varies by that."""
+        """Orders trials: by complete laps, progress, reward and how they steer.
+
+        Of a car whose speed varies the faster laps are better where as many are complete and progress is the same: the
+        lower mean lap time, and where none counts the greater mean speed.
+        """
         first = self.rollouts[0]
         others: tuple[str, ...] = ("progress", "lap_reward", "steering_reward", "forward_share")
         if first.mean_speed is not None:
-            others = ("progress", "mean_speed")
-        elif first.forward_share is None:
+            lap_time = self.lap_time
+            pace = -math.inf if lap_time is None else -lap_time
+            return self.laps_completed, self._mean("progress"), pace, self._mean("mean_speed")
+        if first.forward_share is None:
             others = others[:-1]
         return (self.laps_completed, *(self._mean(name) for name in others))
+
+    @property
+    def lap_time(self) -> float | None:
+        """Mean of the laps that count, s; None if none does."""
+        return mean_or_none(self._lap_times)
+
+    @property
+    def _lap_times(self) -> list[float]:
+        return [drive.lap_time for drive in self.rollouts if drive.lap_time is not None]
 
     def measures(self) -> dict[str, Any]:
         """The figures, ready for JSON: of several drives the means, of counts rounded, and how many are laps."""
         first, *others = (drive.measures() for drive in self.rollouts)
         if not others:
             return first
-        means = {name: self._mean(name) for name in first}
+        means = {name: self._mean(name) for name in first if name != "lap_time"}
         return {
             **means,
             **{name: round(means[name]) for name in ("lap_steps", "reversals") if name in means},
+            **_greatest_grip(self.rollouts),
+            "lap_time": rounded(self.lap_time),
+            "best_lap_time": rounded(min(self._lap_times, default=None)),
             "lap_completed": self.lap_completed,
             "collided": any(drive.collided for drive in self.rollouts),
             "drives": len(self.rollouts),
@@ -233,6 +292,7 @@ def aggregate(runs: Sequence[Sequence[Rollout]], step_length: float) -> dict[str
         "starts": len(drives),
         "laps_completed": laps,
         **{name: _mean(drives, name) for name in means},
+        **_greatest_grip(drives),
         "collisions": collisions,
         "driven_km": driven_km,
         "collisions_per_km": collisions / max(driven_km, LEAST_KM),
@@ -244,49 +304,20 @@ def aggregate(runs: Sequence[Sequence[Rollout]], step_length: float) -> dict[str
     }
 
 
+def _greatest_grip(drives: Sequence[Rollout]) -> dict[str, float]:
+    shares = [drive.grip_greatest for drive in drives if drive.grip_greatest is not None]
+    return {"grip_greatest": max(shares)} if shares else {}
+
+
+def mean_or_none(values: Sequence[float]) -> float | None:
+    """The mean; None of no values."""
+    return math.fsum(values) / len(values) if values else None
+
+
+def rounded(time: float | None) -> float | None:
+    """A time as machines are told it."""
+    return None if time is None else round(time, DECIMALS)
+
+
 def _mean(drives: Sequence[Rollout], name: str) -> float:
     return math.fsum(getattr(drive, name) for drive in drives) / len(drives)
-
-
-def share_interval(successes: int, trials: int) -> Interval:
-    """Wilson's interval of the probability of a success; all of 0..1 if nothing was tried.
-
-    Source: Wilson 1927, "Probable Inference, the Law of Succession, and Statistical Inference".
-    """
-    from scipy import special  # Here and below, since training imports this module and needs none of it.
-
-    if trials == 0:
-        return 0.0, 1.0
-    z = float(special.ndtri((1 + CONFIDENCE) / 2))
-    share, penalty = successes / trials, z * z / trials
-    middle = (share + penalty / 2) / (1 + penalty)
-    reach = z / (1 + penalty) * math.sqrt(share * (1 - share) / trials + penalty / (4 * trials))
-    return max(0.0, middle - reach), min(1.0, middle + reach)
-
-
-def rate_interval(events: int, exposure: float) -> Interval:
-    """The exact interval of a Poisson rate: events per unit of the exposure, which must be positive.
-
-    Source: Garwood 1936, "Fiducial Limits for the Poisson Distribution".
-    """
-    from scipy import special
-
-    tail = (1 - CONFIDENCE) / 2
-    low = special.gammaincinv(events, tail) if events else 0.0
-    return float(low) / exposure, float(special.gammainccinv(events + 1, tail)) / exposure
-
-
-def mean_interval(values: Sequence[float]) -> Interval | None:
-    """Student's interval of the mean of independent values; None of fewer than two.
-
-    Source: Student 1908, "The Probable Error of a Mean".
-    """
-    from scipy import special
-
-    count = len(values)
-    if count < 2:
-        return None
-    mean = math.fsum(values) / count
-    variance = math.fsum((value - mean) ** 2 for value in values) / (count - 1)
-    reach = float(special.stdtrit(count - 1, (1 + CONFIDENCE) / 2)) * math.sqrt(variance / count)
-    return mean - reach, mean + reach

@@ -12,8 +12,10 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, shown
+from carrl.evaluation.lap_timing import LapTiming
 from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
+from carrl.sim.driven import GRAVITY
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.checks import whole_number
 from carrl.task.reward import LAP_TERMS
@@ -76,15 +78,21 @@ class TrackEvaluator:
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
 
-    def evaluate(self, policy: Policy, world: World | None = None) -> list[list[Rollout]]:
-        """The rollouts on each track; a policy that sees something else needs a world of its own, with the same car.
+    def evaluate(self, policy: Policy, world: World | None = None, traced: bool = False) -> list[list[Rollout]]:
+        """The rollouts on each track.
+
+        Args:
+            policy: what to do.
+            world: of a policy that sees something else, with the same car.
+            traced: keep the trajectories.
 
         Raises:
             ConfigError: fewer than one start place.
         """
         found: list[list[Rollout]] = []
+        kept = None if traced else lambda _: ()
         for simulator in self._simulators:
-            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, lambda _: (), self._laps)
+            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, kept, self._laps)
             found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
         return found
 
@@ -120,7 +128,8 @@ def rollout(
         track: which of the simulator's tracks each place is on, [B], int64; by default all are on the first.
         kept: given the drives without their trajectories, says which are to have them; by default all are.
         laps: driven in a row; where they are several, each drive is measured by the last of them, a flying lap, unless
-            it ends before that begins.
+            it ends before that begins. A drive ends with the last gate of its laps, which may stand somewhat before the
+            line where it began; for the lap's time a car drives on to that line.
 
     Raises:
         ConfigError: that takes too many steps, or a place is not a finite number.
@@ -133,6 +142,7 @@ def rollout(
     cars = simulator.start(stations, track)
     limits, patience = laps * _time_limits(simulator, cars), _patience(simulator, cars)
     _check_limits(limits, simulator)
+    timing = LapTiming(simulator, cars, stations, laps)
     now = task.start_at(cars)
     state, observation = now.state, now.observation
     moments = [_first_moment(task, state.last_action, cars)]
@@ -147,10 +157,12 @@ def rollout(
         moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
         last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
-        driving &= ~(ended | simulator.has_lapped(outcome.cars, laps)) & (step < limits)
+        has_lapped = simulator.has_lapped(outcome.cars, laps)
+        has_come_round = timing.has_ended(moments[-2].cars, outcome.cars, has_lapped)
+        driving &= ~(ended | has_come_round) & (step < limits)
         if not driving.any():
             break
-    return _sum_up(_Moment.stack(moments), limits, task, stations, kept, laps)
+    return _sum_up(_Moment.stack(moments), limits, task, stations, kept, laps, timing)
 
 
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
@@ -197,6 +209,7 @@ def _sum_up(
     stations: Tensor,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None,
     laps: int,
+    timing: LapTiming,
 ) -> list[Rollout]:
     """The drives of a course [T + 1, B]; a car's drive is what it did until it ended, if it moved on after that."""
     simulator = task.simulator
@@ -209,6 +222,8 @@ def _sum_up(
     lapped = simulator.has_lapped(last, laps).tolist()
     flying = simulator.has_lapped(course.cars, laps - 1)
     begins = torch.where(flying.any(0), flying.int().argmax(0), 0).tolist()
+    untouched = torch.where(course.ended.any(0), course.ended.int().argmax(0) - 1, limits).minimum(limits)
+    sector_times = timing.sector_times(course.cars, untouched)
     drives = []
     for car, (begin, end) in enumerate(zip(begins, lengths.tolist(), strict=True)):
         begin = begin if begin < end else 0
@@ -229,6 +244,8 @@ def _sum_up(
                 near_wall_share=near_wall_share,
                 **_steering(steer[begin + 1 : end + 1, car], distance, bool(task.action.names)),
                 **motion,
+                **_grip(course.cars[begin + 1 : end + 1, car], simulator),
+                sector_times=sector_times[car],
                 poses=NO_POSES,
                 ranges=NO_POSES,
                 actions=NO_ACTIONS,
@@ -276,6 +293,16 @@ def _motion(cars: CarState, simulator: Simulator) -> dict[str, Any]:
     ways = cars.pose[:, :2].double().diff(dim=0)
     distance = torch.linalg.vector_norm(ways, dim=-1).sum().item()
     return {"mean_speed": distance / (len(ways) * vehicle.time_step), "distance": distance, "speeds": NO_SPEEDS}
+
+
+def _grip(cars: CarState, simulator: Simulator) -> dict[str, Any]:
+    """How much of the tyres' grip a car used after each of the steps [T]; nothing of one whose grip is not known."""
+    names, friction = simulator.vehicle.state_names, getattr(simulator.vehicle, "friction", None)
+    if friction is None or not {"acceleration", "lateral_acceleration"} <= set(names):
+        return {}
+    along, across = (cars.state[:, names.index(name)].double() for name in ("acceleration", "lateral_acceleration"))
+    share = torch.hypot(along, across) / (friction * GRAVITY)
+    return {"grip_mean": share.mean().item(), "grip_greatest": share.max().item()}
 
 
 def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> Rollout:

@@ -1,9 +1,9 @@
 """What runs are compared by, and the statistics of few runs: means, intervals and probabilities of improvement.
 
-Smoothness and speed are those of the best greedy rollout and count only where that completes the lap: a car that
-crashes before the first corner has not changed its action once. A run without a first lap, or whose first lap is not
-confirmed, has it after all others'. Returns and rewards are on the same scale only where the track and what is paid for
-are the same.
+Smoothness, lap time and speed are those of the best greedy rollout and count only where that completes the lap: a car
+that crashes before the first corner has not changed its action once. A run without a first lap, or whose first lap is
+not confirmed, has it after all others'. Returns and rewards are on the same scale only where the track and what is paid
+for are the same, and lap times where the track and the number of starts are.
 
 Source: R. Agarwal et al. (2021), Deep Reinforcement Learning at the Edge of the Statistical Precipice, and their
 library, rliable: the interquartile mean (25 % trimmed from each side), percentile intervals of a stratified bootstrap,
@@ -91,7 +91,7 @@ def _of_first_lap(key: str) -> Value:
 def _of_best_drive(key: str, of_laps_only: bool = False) -> Value:
     def value(run: RunResult) -> float | None:
         drive = _summary(run).get("evaluation")
-        if drive is None or key not in drive or (of_laps_only and not drive["lap_completed"]):
+        if drive is None or drive.get(key) is None or (of_laps_only and not drive["lap_completed"]):
             return None
         return float(drive[key])
 
@@ -169,6 +169,15 @@ MEAN_SPEED = Measure(
     ".1f",
     _of_best_drive("mean_speed", of_laps_only=True),
 )
+LAP_TIME = Measure(
+    key="lap_time",
+    name="lap time, s",
+    more_is_better=False,
+    better="laps faster",
+    form=".2f",
+    value=_of_best_drive("lap_time", of_laps_only=True),
+    scale=("track", "evaluation.starts"),
+)
 STEERING_CHANGE = Measure(
     "steering_change",
     "steering change",
@@ -179,10 +188,10 @@ STEERING_CHANGE = Measure(
 )
 MEASURES = (
     *(FIRST_LAP_FRAMES, FIRST_LAP_SECONDS, PROGRESS, LAP_REWARD, FINAL_RETURN, SWITCHES, FORWARD_SHARE),
-    *(MEAN_SPEED, STEERING_CHANGE),
+    *(LAP_TIME, MEAN_SPEED, STEERING_CHANGE),
 )
-STYLES = (SWITCHES, FORWARD_SHARE, MEAN_SPEED, STEERING_CHANGE)
-"""Those that only some kinds of cars and of actions have."""
+STYLES = (SWITCHES, FORWARD_SHARE, LAP_TIME, MEAN_SPEED, STEERING_CHANGE)
+"""Those that only some kinds of cars and of actions have, or that older versions did not measure."""
 
 
 def measures_of(runs: Iterable[RunResult]) -> list[Measure]:

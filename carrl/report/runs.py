@@ -26,7 +26,9 @@ _EVALUATION: Wanted = {
     "lap_reward": _NUMBER,
     "lap_steps": _COUNT,
 }
+_TIME = (int, float, type(None))
 _STYLE: Wanted = {
+    "lap_time": _TIME,
     "forward_share": _NUMBER,
     "switches_per_100m": _NUMBER,
     "reversals": _COUNT,
@@ -67,10 +69,10 @@ def read_summary(run: Path) -> dict[str, Any]:
 
 
 def _styles_in(evaluation: Mapping[str, Any]) -> Wanted:
-    """Those of an evaluation, which are the first three if it has neither of the last two."""
+    """Those of an evaluation; the three of named actions are among them if it has neither of the last two."""
     wanted = {key: kinds for key, kinds in _STYLE.items() if key in evaluation}
-    by_name = {key: kinds for key, kinds in _STYLE.items() if key not in ("mean_speed", "steering_change")}
-    return wanted if wanted.keys() - by_name.keys() else by_name
+    by_name = {key: _STYLE[key] for key in ("forward_share", "switches_per_100m", "reversals")}
+    return wanted if wanted.keys() & {"mean_speed", "steering_change"} else wanted | by_name
 
 
 def missing_lap(summary: Mapping[str, Any], never: str) -> str:
@@ -95,7 +97,7 @@ def _check(name: str, found: object, wanted: Wanted) -> None:
     for key, kinds in wanted.items():
         value: Any = found.get(key)
         is_kind = isinstance(value, kinds) and isinstance(value, bool) == (kinds == _FLAG)
-        if not is_kind or not abs(value) <= 2**53:  # inf fails it
+        if not is_kind or not abs(value or 0) <= 2**53:  # inf fails it
             raise ValueError(f"{name} has {shown(value)} as {key}")
 
 

@@ -39,8 +39,10 @@ METHOD = f"""\
 - The first lap is a greedy evaluation that completes the lap, after at least one update, and is confirmed by the next
   evaluation, which completes it as well. A run without one has its first lap after all others' in comparisons. In means
   it counts with the frames or seconds that it was driven, and the mean is marked ≥.
-- Progress, reward, smoothness and speed are those of the best greedy drive; the last two only of complete laps.
-- Returns and rewards are compared only between groups with the same track and rewards.
+- Progress, reward, smoothness, lap time and speed are those of the best greedy drive; the last three only of complete
+  laps. Lap times are interpolated within the step, and the mean of several drives.
+- Returns and rewards are compared only between groups with the same track and rewards, lap times only between those
+  with the same track and number of starts.
 - Seconds depend on the machine and on what else it did. Seeds that were trained at once share one clock and one
   compilation; their times are not compared."""
 

@@ -339,5 +339,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
 def _in_short(drive: Rollout, world: World) -> str:
     """How good a drive was, in a few words."""
     if drive.mean_speed is None:
-        return f"reward {drive.lap_reward:.0f}, {drive.lap_steps} steps"
-    return f"{drive.lap_steps * world.vehicle.time_step:.2f} s, {drive.mean_speed:.1f} m/s on average"
+        lap = "" if drive.lap_time is None else f", lap {drive.lap_time:.2f} s"
+        return f"reward {drive.lap_reward:.0f}, {drive.lap_steps} steps{lap}"
+    time = drive.lap_steps * world.vehicle.time_step if drive.lap_time is None else drive.lap_time
+    return f"{time:.2f} s, {drive.mean_speed:.1f} m/s on average"

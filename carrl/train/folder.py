@@ -187,7 +187,7 @@ def _beginning(path: Path, size: int) -> bytes:
 
 
 class Table:
-    """A CSV file being written; its header is the first row's keys.
+    """A CSV file being written; its header is the first row's keys, and of the next rows only these are written.
 
     Args:
         path: of the file; a link in its place is not followed.
@@ -203,6 +203,7 @@ class Table:
         """Opens the file."""
         self._path = path
         self._writer: csv.DictWriter[str] | None = None
+        self._header = next(csv.reader(text.splitlines()), [])  # an older version may have had fewer columns
         content = text.encode()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -246,7 +247,7 @@ class Table:
         """
         try:
             if self._writer is None:
-                self._writer = csv.DictWriter(self._file, list(row))
+                self._writer = csv.DictWriter(self._file, self._header or list(row), extrasaction="ignore")
                 if self._file.tell() == 0:
                     self._writer.writeheader()
             self._writer.writerow(row)

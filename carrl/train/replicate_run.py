@@ -19,17 +19,22 @@ EVALUATION_KEYS = (
     "lap_completed",
     "lap_reward",
     "lap_steps",
+    "lap_time",
+    "best_lap_time",
     "forward_share",
     "switches_per_100m",
     "reversals",
     "mean_speed",
     "steering_change",
+    "grip_mean",
+    "grip_greatest",
     "near_wall_share",
     "progress",
     "drives",
     "laps_completed",
 )
-"""What `summary.json` has of an evaluation; of several drives the means, and the last two besides."""
+"""What `summary.json` has of an evaluation; of several drives the means, the best lap time, and the last two besides.
+Lap times are in seconds; None if no lap counts."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,10 @@ from torch import Tensor
 
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.evaluation.baselines import random_policy, rule_of
-from carrl.evaluation.results import Rollout, aggregate
+from carrl.evaluation.document import Laps, checked_limits, evaluation_figures
 from carrl.evaluation.rollout import Policy, TrackEvaluator
+from carrl.evaluation.speed_trace import speed_table, traced_drives
+from carrl.files import write_whole
 from carrl.log.reader import Log
 from carrl.task.task import World
 from carrl.tracks.circuits import Folder, load_folder
@@ -35,8 +37,6 @@ from carrl.train.resumption import resume as resumption_of
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
 PolicyName = Literal["greedy", "rule", "random"]
-Laps = list[list[Rollout]]
-"""The drives of each track."""
 
 
 class Run:
@@ -121,6 +121,8 @@ class Run:
         policy: PolicyName = "greedy",
         checkpoint: str = "best",
         laps: int = 1,
+        limits: Mapping[str, float] | None = None,
+        speed_trace: str | Path | None = None,
     ) -> dict[str, Any]:
         """Drives the run's policies, and a hand-written rule beside them, and measures how well they drive.
 
@@ -130,32 +132,44 @@ class Run:
             policy: the run's own, or a baseline in its car.
             checkpoint: which of the run's networks, `best` or `last`.
             laps: driven in a row from each place; of several the last one is measured, a flying lap.
+            limits: the least time that the car could take for a flying lap of tracks, by their names, s.
+            speed_trace: a file to write each measured lap to, moment by moment, as CSV.
 
         Returns:
             What `carrl evaluate --json` prints.
 
         Raises:
-            CarrlError: a track or a checkpoint cannot be read.
+            CarrlError: a track or a checkpoint cannot be read, a limit is no time or of no track that is driven, or the
+                file cannot be written.
         """
         loaded, refused = load_tracks([tracks] if isinstance(tracks, str | Path | Track) else tracks)
         circuits = loaded or list(self.world.circuits.validation)
+        limits = checked_limits(limits or {}, circuits)
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
         evaluator = TrackEvaluator(self.world, circuits, starts, laps)
         drivers = [self._driver(folder, config, policy, checkpoint) for folder, config in chosen]
-        driven = [evaluator.evaluate(each, world) for world, each in drivers]
+        driven = [evaluator.evaluate(each, world, speed_trace is not None) for world, each in drivers]
         rule = self._laps_of_the_rule(evaluator) if policy != "rule" else None
+        if speed_trace is not None:
+            names = [f"seed {config['seed']}" if policy == "greedy" else policy for _, config in chosen]
+            table = speed_table(traced_drives(names, circuits, driven), self.world.vehicle)
+            write_whole(speed_trace, table.encode())
         step_length = self.world.vehicle.step_length
         document: dict[str, Any] = {
             "run": str(self.folder),
             "policy": policy,
             **({"laps": laps} if laps > 1 else {}),
-            **_figures(circuits, driven, rule, step_length),
+            **evaluation_figures(circuits, driven, rule, step_length, limits),
             **({"refused": refused} if refused else {}),
         }
         if count > 1:
             document["runs"] = [
-                {"run": str(folder), "seed": config["seed"], **_figures(circuits, [own], None, step_length)}
+                {
+                    "run": str(folder),
+                    "seed": config["seed"],
+                    **evaluation_figures(circuits, [own], None, step_length, limits),
+                }
                 for (folder, config), own in zip(chosen, driven, strict=True)
             ]
         return document
@@ -221,26 +235,6 @@ def load_tracks(names: Sequence[str | Path | Track]) -> tuple[list[Track], dict[
         tracks += found.tracks
         refused |= {str(path): reason for path, reason in found.refused.items()}
     return tracks, refused
-
-
-def _figures(tracks: Sequence[Track], runs: list[Laps], rule: Laps | None, step_length: float) -> dict[str, Any]:
-    """The figures of each track and of all, each with those of the rule."""
-
-    def beside(laps: Laps | None) -> dict[str, Any]:
-        return {} if laps is None else {"rule": aggregate([[each for own in laps for each in own]], step_length)}
-
-    of_tracks = [
-        {
-            "track": track.name,
-            "length_m": track.length,
-            **aggregate([laps[index] for laps in runs], step_length),
-            "drives": [attempt.measures() for laps in runs for attempt in laps[index]],
-            **beside(rule and [rule[index]]),
-        }
-        for index, track in enumerate(tracks)
-    ]
-    everything = [[each for own in laps for each in own] for laps in runs]
-    return {"tracks": of_tracks, "all": {**aggregate(everything, step_length), **beside(rule)}}
 
 
 def _read_summary(folder: Path) -> Summary:

@@ -59,6 +59,7 @@ def test_the_summary_has_the_documented_keys(run):
         "lap_completed",
         "lap_reward",
         "lap_steps",
+        "lap_time",
         "forward_share",
         "switches_per_100m",
         "near_wall_share",
@@ -144,9 +145,10 @@ def test_a_folder_stands_for_all_circuits_in_it(run, tmp_path, capsys):
         (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(drawing))
     (tmp_path / "notes.txt").write_text("not a circuit")
     assert main(["evaluate", str(run), "--track", str(tmp_path), "--starts", "2"]) == 0
-    table = capsys.readouterr().out
+    table, _, lap_times = capsys.readouterr().out.partition("flying laps")
     assert "one.yaml" in table and "two.yaml" in table and "all 2 tracks" in table
     assert table.count("rule") == 3
+    assert "one.yaml" in lap_times and "all 2 tracks" not in lap_times
 
 
 def test_the_rule_laps_where_the_untrained_network_does_not(run, capsys):
@@ -157,6 +159,54 @@ def test_the_rule_laps_where_the_untrained_network_does_not(run, capsys):
 def test_evaluate_prints_a_table(run, capsys):
     assert main(["evaluate", str(run), "--policy", "random"]) == 0
     assert "near-wall" in capsys.readouterr().out
+
+
+def test_evaluate_times_laps_and_compares_them_with_the_limit(run, capsys):
+    typed = ["--policy", "rule", "--track", "oval", "--starts", "2", "--laps", "2", "--limit", "oval=20"]
+    assert main(["evaluate", str(run), *typed, "--json"]) == 0
+    (oval,) = json.loads(capsys.readouterr().out)["tracks"]
+    flying = oval["lap_times"]["flying"]
+    assert (flying["begun"], flying["counted"], oval["lap_times"]["limit_s"]) == (4, 4, 20)
+    times = [lap["time_s"] for drive in oval["drives"] for lap in drive["laps"]]
+    assert flying["best_s"] == min(times) and flying["mean_s"] == pytest.approx(sum(times) / 4, abs=1e-3)
+    assert flying["share_of_limit"] == pytest.approx(flying["mean_s"] / 20, abs=1e-4)
+    assert [drive["lap_time"] for drive in oval["drives"]] == [drive["laps"][-1]["time_s"] for drive in oval["drives"]]
+
+
+def test_the_tables_of_lap_times_say_which_laps_do_not_count(run, capsys):
+    assert main(["evaluate", str(run), "--starts", "2", "--laps", "2", "--limit", "oval=20"]) == 0
+    table = capsys.readouterr().out.partition("flying laps: times and mean sectors, s")[2]
+    assert "0/2" in table and "4/4" in table and "21.03" in table and "1.051" in table
+    assert "laps that were not completed, or in which the car touched a wall, do not count" in table
+
+
+def test_a_speed_trace_has_the_measured_laps_of_every_start(run, tmp_path, capsys):
+    path = tmp_path / "trace.csv"
+    assert main(["evaluate", str(run), "--starts", "2", "--speed-trace", str(path), "--json"]) == 0
+    (oval,) = json.loads(capsys.readouterr().out)["tracks"]
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(drive["lap_steps"] + 1 for drive in oval["drives"])
+    assert {row["driver"] for row in rows} == {"seed 5"}
+    assert sorted({float(row["start_m"]) for row in rows}) == [round(drive["start"], 3) for drive in oval["drives"]]
+
+
+@pytest.mark.parametrize(
+    ("typed", "reason"),
+    [
+        (["--limit", "oval"], "--limit is 'oval'; write it as TRACK=SECONDS, such as oval=20.5"),
+        (["--limit", "=20"], "--limit is '=20'; write it as TRACK=SECONDS"),
+        (["--limit", "oval=fast"], "--limit is 'oval=fast'; write it as TRACK=SECONDS"),
+        (["--limit", "oval=20", "--limit", "oval=21"], "--limit is given twice for track 'oval'"),
+        (["--limit", "paper=20"], "a limit is given for track 'paper', which is not driven; driven: oval"),
+        (["--limit", "oval=-1"], "the limit of track 'oval' is -1.0; it must be a positive number of seconds"),
+        (["--speed-trace", "nowhere/trace.csv"], "'nowhere/trace.csv' cannot be written: No such file or directory"),
+    ],
+)
+def test_a_limit_or_trace_that_cannot_be_is_refused(run, typed, reason, capsys):
+    assert main(["evaluate", str(run), *typed]) == 2
+    error = capsys.readouterr().err
+    assert reason in error and "Traceback" not in error
 
 
 def test_report_lines_up_finished_and_unfinished_runs(run, tmp_path, capsys):

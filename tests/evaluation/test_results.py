@@ -9,7 +9,8 @@ import torch
 
 from carrl.errors import ConfigError
 from carrl.evaluation.baselines import rule_of, rule_policy
-from carrl.evaluation.results import EvaluationResult, Rollout, aggregate, mean_interval, rate_interval, share_interval
+from carrl.evaluation.intervals import mean_interval, rate_interval, share_interval
+from carrl.evaluation.results import EvaluationResult, Rollout, aggregate
 from carrl.evaluation.rollout import rollout_laps
 from carrl.sim.kinematic import Kinematic
 from carrl.sim.sensor import Sensor
@@ -19,7 +20,7 @@ from tests.worlds import make_world
 
 Z = 1.959964
 PEDALS = ContinuousActions(("steer", "pedal"))
-NEWER = ("steering_change", "mean_speed", "distance", "speeds")
+NEWER = ("steering_change", "mean_speed", "distance", "speeds", "grip_mean", "grip_greatest", "sector_times")
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,8 @@ def test_the_rule_laps_with_pedals_and_how_it_drove_is_told_by_speed_and_steerin
 
 
 def test_of_two_laps_with_pedals_the_faster_one_is_better_and_a_lap_better_than_none(pedals_lap):
-    slower = replace(pedals_lap, mean_speed=pedals_lap.mean_speed / 2, lap_reward=1e6)
+    seconds = tuple(tuple(2 * sector for sector in sectors) for sectors in pedals_lap.sector_times)
+    slower = replace(pedals_lap, mean_speed=pedals_lap.mean_speed / 2, sector_times=seconds, lap_reward=1e6)
     crash = replace(pedals_lap, lap_completed=False, progress=0.9, mean_speed=99.0)
     qualities = [EvaluationResult((drive,)).quality for drive in (crash, slower, pedals_lap)]
     assert qualities == sorted(qualities) and qualities[1] < qualities[2]
@@ -167,7 +169,7 @@ def test_a_drive_with_speeds_comes_back_from_its_state_and_one_of_an_older_versi
     back = Rollout.from_state_dict(pedals_lap.state_dict())
     assert back.measures() == pedals_lap.measures() and (back.speeds == pedals_lap.speeds).all()
     old = {name: value for name, value in lap.state_dict().items() if name not in NEWER}
-    assert Rollout.from_state_dict(old).measures() == lap.measures()
+    assert Rollout.from_state_dict(old).measures() == lap.measures() | {"lap_time": None}
     assert (lap.mean_speed, lap.distance, lap.steering_change, lap.speeds) == (None,) * 4
 
 

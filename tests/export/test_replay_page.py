@@ -17,6 +17,7 @@ from PIL import Image
 
 from carrl.errors import CarrlError
 from carrl.export.page import replay_page, write_replay_page
+from carrl.log.laps import RecordedLap
 from carrl.log.trace import EpisodeTrace
 from carrl.render.colours import LIGHT
 
@@ -750,3 +751,15 @@ def test_a_page_without_rays_has_no_chart_of_them(open_page, pedals):
     page = open_page(blind, link="#step=2")
     assert not page.locator("#sensors").is_visible()
     assert text(page, "read-step") == "2"
+
+
+def test_a_lap_is_timed_in_the_facts_and_in_the_readings_after_it(open_page, trace, monkeypatch):
+    laps = [RecordedLap(3, 61.234, True), RecordedLap(9, 55.5, False)]
+    monkeypatch.setattr("carrl.export.page.recorded_laps", lambda episode: laps)
+    page = open_page(link="#step=3")
+    assert "· 14 steps · 2 laps, best 61.23 s" in text(page, "facts")
+    assert text(page, "read-lap") == DASH
+    page.keyboard.press("ArrowRight")
+    assert text(page, "read-lap") == "61.23 s"
+    page.keyboard.press("End")
+    assert text(page, "read-lap") == "55.50 s, with contact"

@@ -239,3 +239,24 @@ def drop_nones(folder):
     summary = json.loads(path.read_text())
     summary["evaluation"] = {name: value for name, value in summary["evaluation"].items() if value is not None}
     path.write_text(json.dumps(summary))
+
+
+def test_lap_times_are_compared_where_laps_count_and_shown_beside_runs_of_older_versions(tmp_path):
+    for seed in range(3):
+        for name, seconds in (("dqn", 24.0), ("double_dqn", 23.0)):
+            write_run(tmp_path / name / str(seed), seed, drive={"lap_time": seconds + seed / 10}, loss=LOSSES[name])
+    findings = find([tmp_path])
+    comparison = comparison_of(findings, "lap_time")
+    assert (comparison.first, comparison.probability.value) == ("loss.double_dqn=true", 1.0)
+    assert findings.figures[0].keys() >= {"lap_time", "forward_share"}
+    write_run(tmp_path / "older", 7)
+    write_run(tmp_path / "crashed", 8, first_lap=None, drive={"lap_time": None})
+    header, _, *rows = runs_table(find([tmp_path]).runs).splitlines()
+    column = header.split(" | ").index("lap, s")
+    times = sorted(row.split(" | ")[column] for row in rows)
+    assert times == ["-", "-", "23.00", "23.10", "23.20", "24.00", "24.10", "24.20"]
+
+
+def test_a_run_of_an_older_version_alone_has_no_column_of_lap_times(tmp_path):
+    write_run(tmp_path / "older", 7)
+    assert "lap, s" not in runs_table(find([tmp_path]).runs)

@@ -16,6 +16,7 @@ from carrl.cli.log.shared import (
     transition_rows,
 )
 from carrl.errors import LogError
+from carrl.log.laps import recorded_laps
 from carrl.log.reader import Log
 from carrl.log.schema import Schema
 from carrl.log.trace import EpisodeTrace
@@ -82,6 +83,10 @@ def _document(trace: EpisodeTrace, rows: range, schema: Schema) -> dict[str, Any
         "length": len(trace),
         "episode_return": float(trace.rewards.sum()),
         "gates": int(trace.gates_passed[-1]),
+        "laps": [
+            {"step": int(trace.columns["step"][lap.row]), "time_s": round(lap.seconds, 3), "counts": bool(lap.counts)}
+            for lap in recorded_laps(trace)
+        ],
         "ended": trace.ended,
         "action_names": trace.scene.action_names,
         "reward_terms": trace.scene.reward_terms,

@@ -12,6 +12,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from carrl.log.laps import recorded_laps
 from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
 from carrl.render import span
@@ -26,6 +27,8 @@ CHART_ROWS = 12
 LEAST_MAP_ROWS, MOST_MAP_ROWS = 14, 2 * CHART_ROWS + 2
 GAP = 3
 """Between map and charts, characters."""
+MOST_LAPS = 3
+"""Whose times are told."""
 START = Ink("S", DARK.car)
 END_NAMES = {
     "collision": "collision",
@@ -80,7 +83,9 @@ def _summary(trace: EpisodeTrace) -> Text:
 def _progress(trace: EpisodeTrace) -> str:
     gates = int(trace.gates_passed[-1])
     laps = gates // len(trace.track.gates)
-    return f"{gates:,} gate{'s' * (gates != 1)}" + f", {laps:,} lap{'s' * (laps != 1)}" * (laps > 0)
+    times = [f"{lap.seconds:.2f} s" + " with contact" * (not lap.counts) for lap in recorded_laps(trace)]
+    shown = f" ({', '.join([*times[:MOST_LAPS], *['...'] * (len(times) > MOST_LAPS)])})" if times else ""
+    return f"{gates:,} gate{'s' * (gates != 1)}" + f", {laps:,} lap{'s' * (laps != 1)}{shown}" * (laps > 0)
 
 
 def _pictures(trace: EpisodeTrace, console: Console) -> RenderableType:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from carrl.files import write_whole
+from carrl.log.laps import recorded_laps
 from carrl.log.scene import STATE_UNITS
 from carrl.log.trace import EpisodeTrace
 from carrl.render import MOST_SEEN
@@ -142,6 +143,7 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
         "units": STATE_UNITS,
         "gatesBefore": int(trace.gates_passed[0]),  # of the record
         "passings": trace.passings,  # row of the step, index of the gate
+        "laps": [[lap.row, round(lap.seconds, 3), lap.counts] for lap in recorded_laps(trace)],
         "arrays": {
             "wallPoints": _packed(np.concatenate(lines), "<f4"),  # [N, 2]
             "centreline": _packed(track.centreline, "<f4"),  # [P, 2]

@@ -18,12 +18,21 @@ function showFacts(episode) {
     `episode ${formatNumber(episode.episode, 0)}`,
     `car ${episode.car}`,
     formatCount(episode.steps, "step"),
+    ...lapsInShort(episode),
     ...(missingSteps(episode) ? [`${formatNumber(missingSteps(episode), 0)} more not in the log`] : []),
   ].join(" · ");
   byId("return-total").textContent = `return ${formatReward(episode.returns[episode.steps])}`;
   byId("duration").textContent = `/ ${formatSeconds(episode.times[episode.steps])}`;
   byId("read-steps").textContent = `of ${formatNumber(episode.stepNumbers[episode.steps], 0)}`;
   showLegend(episode);
+}
+
+// How many laps there are and the fastest of those that count; nothing of an episode without a lap.
+function lapsInShort(episode) {
+  const times = episode.laps.filter(([, , counts]) => counts).map(([, seconds]) => seconds);
+  if (!episode.laps.length) return [];
+  const best = times.length ? `, ${episode.laps.length > 1 ? "best " : ""}${formatMeasured(Math.min(...times), 2)} s` : "";
+  return [`${formatCount(episode.laps.length, "lap")}${best}`];
 }
 
 function showLegend(episode) {
@@ -46,6 +55,7 @@ function makeReadings(episode) {
   const rows = makeValueRows(episode);
   const numbers = makeNumberCells(episode);
   const terms = makeTermCells(episode);
+  const showLap = makeLapCell(episode);
   let shown = -1;
   return (position) => {
     const step = stepAt(position);
@@ -53,6 +63,7 @@ function makeReadings(episode) {
     if (step === shown) return;
     shown = step;
     showMoment(episode, step);
+    showLap(step);
     showNumbers(episode, step, numbers);
     showSpeed(episode, step);
     if (episode.perAction) showValues(episode, step, rows);
@@ -77,6 +88,20 @@ function showMoment(episode, step) {
   byId("read-gates").textContent = formatNumber(episode.gatesBefore + gatesPassedAt(episode, step), 0);
   byId("read-return").textContent = formatReward(episode.returns[step]);
   showReward(byId("read-reward"), over ? null : episode.rewards[step]);
+}
+
+// The time of the last lap that was completed before a step; no cell if there is none.
+function makeLapCell(episode) {
+  if (!episode.laps.length) return () => {};
+  const place = element("dd", "");
+  place.id = "read-lap";
+  byId("read-return").parentElement.before(element("div", "", element("dt", "", "Last lap"), place));
+  return (step) => {
+    const last = episode.laps.findLast(([row]) => row < step);
+    if (!last) return void (place.textContent = "–");
+    const [, seconds, counts] = last;
+    place.textContent = `${formatMeasured(seconds, 2)} s${counts ? "" : ", with contact"}`;
+  };
 }
 
 function showSpeed(episode, step) {
