@@ -3,9 +3,10 @@
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
@@ -15,7 +16,8 @@ from carrl.cli.text.lap_times import print_lap_times
 from carrl.cli.text.many_runs import print_table
 from carrl.errors import ConfigError, printable
 from carrl.train.experiment import road_warning
-from carrl.train.run import Run, load_tracks
+from carrl.train.run import PolicyName, Run, load_tracks
+from carrl.train.untrained import Untrained
 
 HEADER = (
     "laps",
@@ -40,11 +42,11 @@ Figures = Mapping[str, Any]
 
 def main(argv: list[str]) -> int:
     """Prints rows for each track, or one JSON document."""
-    arguments = _parser().parse_args(argv)
+    arguments = _parser().parse_intermixed_args(argv)
     if arguments.checkpoint and arguments.policy != "greedy":
         raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
     torch.set_num_threads(1)
-    run = Run.load(arguments.run, arguments.trust)
+    run, name = _run(arguments)
     world = run.world
     tracks, refused = load_tracks(arguments.track)
     for path, reason in refused.items():
@@ -59,7 +61,7 @@ def main(argv: list[str]) -> int:
         limits=_limits(arguments.limit),
         speed_trace=arguments.speed_trace,
     )
-    document |= {"run": arguments.run, **({"refused": refused} if refused else {})}
+    document |= {"run": name, **({"refused": refused} if refused else {})}
     if arguments.json:
         print(json.dumps(document, indent=2))
     else:
@@ -67,12 +69,39 @@ def main(argv: list[str]) -> int:
     return 0
 
 
+def _run(arguments: argparse.Namespace) -> tuple[Run, str]:
+    """What is to be evaluated, and its name for readers.
+
+    Raises:
+        ConfigError: it is neither one run nor, for a baseline, a configuration.
+    """
+    words = arguments.run
+    if words and (os.path.isdir(words[0]) or "=" not in words[0]):
+        if len(words) > 1:
+            raise ConfigError(f"'{words[1]}' has no effect beside a run, which has its own car; leave it out")
+        return Run.load(words[0], arguments.trust), words[0]
+    if arguments.policy == "greedy":
+        raise ConfigError("there is no RUN whose policy could be driven; name its folder, or choose a --policy")
+    if arguments.trust:
+        raise ConfigError("--trust has no effect without RUN: what is typed is trusted; leave it out")
+    for word in words:
+        if arguments.track and word.startswith("track"):
+            raise ConfigError(f"{word} has no effect beside --track; leave one of them out")
+    return Untrained(arguments.policy, words), " ".join(words) or "the default car"
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="carrl evaluate",
         description="Drives a run's policy without exploration, and a hand-written rule with the same car and sensors.",
     )
-    parser.add_argument("run", metavar="RUN", help="the folder of a run, or of a run of several seeds for all of them")
+    parser.add_argument(
+        "run",
+        nargs="*",
+        metavar="RUN|KEY=VALUE",
+        help="the folder of a run, or of a run of several seeds for all of them; or, for a baseline without a run, the "
+        "car, sensors and track as carrl train takes them, such as vehicle=kinematic",
+    )
     parser.add_argument(
         "--track",
         action="append",
@@ -94,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--speed-trace", metavar="FILE.csv", help="write time, place and speed at each step of the measured laps"
     )
-    parser.add_argument("--policy", choices=("greedy", "rule", "random"), default="greedy")
+    parser.add_argument("--policy", choices=get_args(PolicyName), default="greedy")
     parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
     add_trust(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")

@@ -116,7 +116,7 @@ def _check_sensor(log: Log, sensor: Sensor) -> None:
     if not _alike(found, angles):
         raise LogError(
             f"log '{log.path}': its sensor has {_fan(found)}, this configuration's {_fan(angles)}; "
-            "set sensor.rays and sensor.field_of_view as in the run that wrote it"
+            "set sensor.rays, sensor.field_of_view and sensor.turn as in the run that wrote it"
         )
 
 

@@ -99,7 +99,7 @@ def _alike(world: World, other: World) -> bool:
     distances = [each.sensor.max_range * each.reward.near_wall.threshold for each in (world, other)]
     tracks = [[track.as_dict() for track in each.circuits.training] for each in (world, other)]
     same = tracks[0] == tracks[1] and (world.vehicle, world.action) == (other.vehicle, other.action)
-    fans = [(each.sensor.rays, each.sensor.field_of_view) for each in (world, other)]
+    fans = [(each.sensor.rays, each.sensor.field_of_view, each.sensor.turn) for each in (world, other)]
     return same and fans[0] == fans[1] and math.isclose(*distances, rel_tol=1e-4)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.errors import ConfigError
 from carrl.sim.machine_code import apart, as_array, compiled, inlined
 from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
 
@@ -48,7 +49,13 @@ def slide(before: Tensor, after: Tensor, walls: Tensor, body: Disc | Rectangle) 
 
 
 def compile_slide(vehicle: VehicleModel) -> None:
-    """Compiles at once, unless that was done before, so that no step takes longer than the others."""
+    """Compiles at once, unless that was done before, so that no step takes longer than the others.
+
+    Raises:
+        ConfigError: the vehicle's corners alone touch walls.
+    """
+    if vehicle.body.by_corners:
+        raise ConfigError("vehicle.contact is 'corners'; where end lets cars slide along walls it must be 'body'")
     nothing = torch.zeros(0, len(vehicle.state_names))
     slide(nothing, nothing, torch.zeros(0, 1, 2, 2, dtype=torch.float64), vehicle.body)
 

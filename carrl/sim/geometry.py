@@ -144,5 +144,34 @@ def rectangle_touches(
     return touches.any(dim=-1)
 
 
+def corners_beyond(
+    starts: Tensor, ends: Tensor, headings: Tensor, half_size: tuple[float, float], segments: Tensor
+) -> Tensor:
+    """Whether a rectangle has a corner beyond a wall at the end of its path, or its middle is beyond one.
+
+    A point is beyond a wall if the straight line to it from one that is not crosses an odd number of segments.
+
+    Args:
+        starts: of the rectangle's middle, on the road, [B, 2], m.
+        ends: [B, 2], m.
+        headings: at the end, [B], rad.
+        half_size: half of its length along the heading, and of its width, m.
+        segments: the same for all, [S, 2, 2], or each rectangle's own, [B, S, 2, 2], m.
+
+    Returns:
+        [B], bool.
+    """
+    forward = half_size[0] * torch.stack([headings.cos(), headings.sin()], dim=-1)
+    left = half_size[1] * torch.stack([-headings.sin(), headings.cos()], dim=-1)
+    beyond = torch.zeros_like(headings, dtype=torch.bool)
+    for corner in (forward + left, forward - left, left - forward, -forward - left, starts - ends):
+        first, last = (point - ends[:, None] for point in segments.unbind(-2))
+        line = corner[:, None]
+        parts_ends = (cross(line, first) >= 0) != (cross(line, last) >= 0)  # half open, so that a joint counts once
+        parts_line = (cross(last - first, -first) >= 0) != (cross(last - first, line - first) >= 0)
+        beyond = beyond | ((parts_ends & parts_line).sum(dim=-1) % 2 == 1)
+    return beyond
+
+
 def _square_to(vectors: Tensor) -> Tensor:
     return torch.stack([-vectors[..., 1], vectors[..., 0]], dim=-1)

@@ -20,7 +20,7 @@ MOST_RAYS = 4096
 
 @dataclass(frozen=True)
 class Sensor:
-    """A fan of rays, spread evenly and symmetrically about the heading.
+    """A fan of rays, spread evenly, and symmetrically about the heading unless it is turned.
 
     Attributes:
         rays: how many.
@@ -29,6 +29,7 @@ class Sensor:
         noise: standard deviation of the normal error of a distance, m.
         dropout: probability that a ray comes back from nothing and reads 1.
         mount: how far ahead of the car's middle the rays start, m.
+        turn: from the heading to the middle of the fan, degrees counter-clockwise.
     """
 
     rays: int = 7
@@ -37,6 +38,7 @@ class Sensor:
     noise: float = 0.0
     dropout: float = 0.0
     mount: float = 0.0
+    turn: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a fan that cannot be built."""
@@ -52,14 +54,17 @@ class Sensor:
             raise ConfigError(f"sensor.dropout is {self.dropout}; it must lie between 0 and 1")
         if not _is_number(self.mount):
             raise ConfigError(f"sensor.mount is {self.mount}; it must be a number of metres")
+        if not (_is_number(self.turn) and -180 <= self.turn <= 180):
+            raise ConfigError(f"sensor.turn is {self.turn}; it must lie between -180 and 180 degrees")
 
     @property
     def angles(self) -> Tensor:
         """Directions of the rays, [R], float32, rad counter-clockwise from the heading: right to left."""
+        turn = math.radians(self.turn)
         if self.rays == 1:
-            return torch.zeros(1)
+            return torch.full((1,), turn)
         half = math.radians(self.field_of_view) / 2
-        return torch.linspace(-half, half, self.rays)
+        return torch.linspace(turn - half, turn + half, self.rays)
 
     @property
     def is_exact(self) -> bool:

@@ -16,6 +16,7 @@ from carrl.errors import ConfigError
 from carrl.rows import Rows
 from carrl.sim.collision_geometry import CollisionGeometry, TrackLayout
 from carrl.sim.geometry import (
+    corners_beyond,
     crosses_forward,
     most_gates_per_step,
     path_clearance,
@@ -128,7 +129,7 @@ class Simulator:
 
     Raises:
         TrackError: the roads at a bridge cannot be told apart.
-        ConfigError: there is no track, or the rays start outside of the car.
+        ConfigError: there is no track, the rays start outside of the car, or it cannot slide.
     """
 
     def __init__(
@@ -257,17 +258,19 @@ class Simulator:
             state, next_gate, gates_passed, ranges, collided, passed = self._kernels.step(
                 cars.state, control, cars.next_gate, cars.gates_passed, cars.track
             )
-            return Outcome(CarState(state, next_gate, gates_passed, cars.track), ranges, collided, passed)
-        state = self.vehicle.step(cars.state, control)
+            if not self.vehicle.body.by_corners:  # the machine code knows of no such bodies
+                return Outcome(CarState(state, next_gate, gates_passed, cars.track), ranges, collided, passed)
+        else:
+            state = self.vehicle.step(cars.state, control)
         begin, end = cars.state[:, :2].double(), state[:, :2].double()
         walls = self._walls_near(replace(cars, state=state))
         body = self.vehicle.body
         if isinstance(body, Disc):
             collided = ~(path_clearance(begin, end, walls) >= body.radius)  # also where it is nan
         else:
-            half_size = body.length / 2, body.width / 2
-            collided = rectangle_touches(begin, end, state[:, 2].double(), half_size, walls)
-            collided = collided | ~end.isfinite().all(dim=-1)
+            touches = corners_beyond if body.by_corners else rectangle_touches
+            heading, finite = state[:, 2].double(), end.isfinite().all(dim=-1)
+            collided = touches(begin, end, heading, body.half_size, walls) | ~finite
         passed = torch.where(collided, 0, self._count_gates(begin, end, cars))
         next_gate = (cars.next_gate + passed) % self.gate_counts[cars.track]
         after = CarState(state, next_gate, cars.gates_passed + passed, cars.track)

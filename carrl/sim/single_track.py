@@ -16,7 +16,7 @@ from carrl.errors import ConfigError, shown
 from carrl.sim.driven import GRAVITY, LEAST_RANGE, MOTION, PEDALS, RANGE_LATERAL, RANGE_SLIP, DrivenCar
 from carrl.sim.presets import PRESETS
 from carrl.sim.tyres import EASE, FULL_SLIP, MOST_SPIN, REST, STEERABLE, TYRES
-from carrl.sim.vehicle import MOST, Kernel
+from carrl.sim.vehicle import MOST, Kernel, Rectangle
 
 if TYPE_CHECKING:
     Number = float
@@ -50,6 +50,8 @@ class SingleTrack(DrivenCar):
             `max_steering`, with a delay of two substeps.
         pedals: `one`: drives where it is positive, brakes where it is negative; `two`: throttle and brake, each
             released at -1 and down at 1; `speed`: F1TENTH's, a share of `max_speed`, or of `min_speed` below 0.
+        contact: `body`: any part of it that touches a wall on the way; `corners`: one of its corners that is beyond a
+            wall after a step, as in the F1TENTH survey of Evans et al. 2024.
         integrator: `rk4` or `euler`; always `rk4` with brush tyres.
         substep: the longest step of the integrator, s; a time step is divided into equal ones.
         length: of the body, about the centre of gravity, m.
@@ -77,6 +79,7 @@ class SingleTrack(DrivenCar):
     tyre: Word = _OF_PRESET
     steering: Word = _OF_PRESET
     pedals: Word = _OF_PRESET
+    contact: Word = _OF_PRESET
     integrator: Word = _OF_PRESET
     substep: Number = _OF_PRESET
     length: Number = _OF_PRESET
@@ -103,6 +106,7 @@ class SingleTrack(DrivenCar):
         "tyre": TYRES,
         "steering": STEERING,
         "pedals": (*PEDALS, "speed"),
+        "contact": ("body", "corners"),
         "integrator": ("rk4", "euler"),
     }
 
@@ -151,6 +155,11 @@ class SingleTrack(DrivenCar):
     def control_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Steering wheel, then pedals or speed."""
         return "steer", *PEDALS.get(self.pedals, ("speed",))
+
+    @property
+    def body(self) -> Rectangle:
+        """Its middle is the centre of gravity."""
+        return Rectangle(self.length, self.width, self.contact == "corners")
 
     @property
     def substeps(self) -> int:

@@ -38,6 +38,7 @@ class Disc:
         radius: m.
     """
 
+    by_corners: ClassVar[bool] = False
     radius: float
 
     @property
@@ -63,14 +64,16 @@ class Rectangle:
     Attributes:
         length: along the heading, m.
         width: across it, m.
+        by_corners: whether it touches a wall only where, after a step, one of its corners is beyond the wall.
     """
 
     length: float
     width: float
+    by_corners: bool = False
 
     def __post_init__(self) -> None:
         """Raises ConfigError unless both are positive numbers, neither tiny nor huge."""
-        for name, value in vars(self).items():
+        for name, value in (("length", self.length), ("width", self.width)):
             if isinstance(value, bool) or not (isinstance(value, int | float) and LEAST <= value <= MOST):
                 raise ConfigError(f"body.{name} is {value}; it must be a number between {LEAST:g} and {MOST:g}")
 
@@ -80,6 +83,11 @@ class Rectangle:
         return self.width / 2
 
     @property
+    def half_size(self) -> tuple[float, float]:
+        """From the middle of the car to its front and to its side, m."""
+        return self.length / 2, self.width / 2
+
+    @property
     def reach(self) -> float:
         """From the middle of the car to a corner, m."""
         return math.hypot(self.length, self.width) / 2
@@ -87,7 +95,7 @@ class Rectangle:
     @property
     def measures(self) -> tuple[float, float, float]:
         """Radius, half length and half width as the machine code has them, m; 0 for what another body has."""
-        return 0.0, self.length / 2, self.width / 2
+        return 0.0, *self.half_size
 
 
 class VehicleModel(ABC):

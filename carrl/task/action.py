@@ -6,7 +6,7 @@ Shapes: `N` cars, `C` controls, `A` discrete actions.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Bounded, Categorical, TensorSpec
 
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.sim.vehicle import VehicleModel
 
 
@@ -114,9 +114,26 @@ class ContinuousActions:
 
     Attributes:
         control_names: of the vehicle's controls, C of them; none: all that it has, as `fitted` finds out.
+        ranges: the values of some controls that the numbers -1 and 1 stand for; of the others -1 and 1 themselves.
     """
 
     control_names: Sequence[str] = ()
+    ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a range that is none, or of a control that is not among those named."""
+        for control, values in self.ranges.items():
+            if not (isinstance(values, Sequence) and len(values) == 2 and all(map(_is_setting, values))):
+                raise ConfigError(
+                    f"action.ranges.{control} is {shown(values)}; it must be two numbers within -1 and 1, such as "
+                    "[0.0, 0.5]"
+                )
+            if values[0] >= values[1]:
+                raise ConfigError(f"action.ranges.{control} is {list(values)}; the first number must be the lower one")
+            if self.control_names and control not in self.control_names:
+                raise ConfigError(
+                    f"action.ranges has {control!r}; the vehicle is controlled by {', '.join(self.control_names)}"
+                )
 
     @property
     def names(self) -> Sequence[str]:
@@ -139,8 +156,17 @@ class ContinuousActions:
         return torch.zeros(len(self.control_names))
 
     def controls(self, action: Tensor) -> Tensor:
-        """The actions themselves [N, C], cut off at -1 and 1."""
-        return action.clamp(-1, 1)
+        """The actions [N, C], cut off at -1 and 1, in the ranges of their controls."""
+        action = action.clamp(-1, 1)
+        if not self.ranges:
+            return action
+        low, high = self._bounds.to(action)
+        return low + (high - low) * (action + 1) / 2
+
+    @cached_property
+    def _bounds(self) -> Tensor:
+        """What -1 and 1 stand for, [2, C]."""
+        return torch.tensor([self.ranges.get(name, (-1.0, 1.0)) for name in self.control_names]).T
 
     def encode(self, action: Tensor) -> Tensor:
         """The action itself."""
@@ -200,7 +226,7 @@ def fitted(action: ActionMap, vehicle: VehicleModel) -> ActionMap:
         ConfigError: they do not set just those that the vehicle has.
     """
     if isinstance(action, ContinuousActions) and not action.control_names:
-        return ContinuousActions(vehicle.control_names)
+        return replace(action, control_names=vehicle.control_names)
     check_fits(action, vehicle)
     return action
 

@@ -18,6 +18,7 @@ from torch import Tensor
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.evaluation.baselines import random_policy, rule_of
 from carrl.evaluation.document import Laps, checked_limits, evaluation_figures
+from carrl.evaluation.follow_the_gap import follow_the_gap_of
 from carrl.evaluation.rollout import Policy, TrackEvaluator
 from carrl.evaluation.speed_trace import speed_table, traced_drives
 from carrl.files import write_whole
@@ -36,7 +37,7 @@ from carrl.train.plan import checked_seed
 from carrl.train.resumption import resume as resumption_of
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
-PolicyName = Literal["greedy", "rule", "random"]
+PolicyName = Literal["greedy", "rule", "random", "follow_the_gap"]
 
 
 class Run:
@@ -180,6 +181,8 @@ class Run:
             raise ConfigError(f"policy is {shown(policy)}; it must be {', '.join(get_args(PolicyName))}")
         if policy == "rule":
             return rule_of(self.world)
+        if policy == "follow_the_gap":
+            return follow_the_gap_of(self.world)
         if policy == "random":
             return self.world, random_policy(checked_seed(config["seed"]), self.world.action)
         return self.world, load_greedy_policy(folder, checkpoint, config, self.world)

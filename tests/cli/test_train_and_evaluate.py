@@ -151,6 +151,27 @@ def test_a_folder_stands_for_all_circuits_in_it(run, tmp_path, capsys):
     assert "one.yaml" in lap_times and "all 2 tracks" not in lap_times
 
 
+def test_baselines_drive_without_a_run(run, capsys):
+    assert main(["evaluate", "--policy", "rule", "--track", "oval", "vehicle.turn_radius=6.0", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["run"], document["policy"]) == ("vehicle.turn_radius=6.0", "rule")
+    assert document["all"]["laps_completed"] == 1
+    assert main(["evaluate", "--policy", "random", "seed=3", "--json"]) == 0
+    drawn = json.loads(capsys.readouterr().out)
+    assert main(["evaluate", "--policy", "random", "seed=4", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tracks"] != drawn["tracks"]
+    assert main(["evaluate", str(run), "vehicle=kinematic"]) == 2
+    assert "'vehicle=kinematic' has no effect beside a run, which has its own car" in capsys.readouterr().err
+
+
+def test_follow_the_gap_drives_f1tenths_car(capsys):
+    car = ["vehicle=single_track", "vehicle.preset=f1tenth", "sensor.rays=181", "sensor.field_of_view=270"]
+    assert main(["evaluate", "--policy", "follow_the_gap", "--track", "oval", "--json", *car]) == 0
+    drive = json.loads(capsys.readouterr().out)["tracks"][0]["drives"][0]
+    assert drive["lap_completed"]
+    assert 3 < drive["mean_speed"] <= 5.01
+
+
 def test_the_rule_laps_where_the_untrained_network_does_not(run, capsys):
     assert main(["evaluate", str(run), "--policy", "rule", "--starts", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tracks"][0]["laps_completed"] == 2
@@ -289,6 +310,23 @@ BAD_INPUT = [
     (["train", "trainer.seeds=[1,1]"], "trainer.seeds is [1, 1]"),
     (["train", "trainer.seeds=[0..x]"], "trainer.seeds has '0..x'"),
     (["evaluate", "nothing"], "is not a folder"),
+    (["evaluate"], "there is no RUN whose policy could be driven; name its folder, or choose a --policy"),
+    (["evaluate", "vehicle=kinematic"], "there is no RUN whose policy could be driven"),
+    (
+        ["evaluate", "--policy", "rule", "trainer.frames=5"],
+        "trainer.frames=5 has no effect on what the rule policy does; leave it out, or set one of: experiment, track,",
+    ),
+    (["evaluate", "--policy", "rule", "seed=5"], "seed=5 has no effect on what the rule policy does"),
+    (["evaluate", "--policy", "rule", "vehicle.spede=5"], "did you mean vehicle.speed?"),
+    (["evaluate", "--policy", "rule", "--trust", "mine"], "--trust has no effect without RUN"),
+    (
+        ["evaluate", "--policy", "rule", "track=oval", "--track", "paper"],
+        "track=oval has no effect beside --track; leave one of them out",
+    ),
+    (
+        ["evaluate", "--policy", "follow_the_gap", "vehicle=kinematic"],
+        "follow_the_gap tells a car how far to steer and how fast to drive; this one has steer, pedal. Choose vehicle",
+    ),
     (["report", "nothing"], "no run in 'nothing'"),
     (["fly"], "no verb 'fly'"),
 ]

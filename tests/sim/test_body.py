@@ -4,16 +4,19 @@ import math
 from dataclasses import dataclass
 
 import pytest
+import shapely
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carrl.errors import ConfigError
 from carrl.sim.drivability import Car
-from carrl.sim.geometry import rectangle_touches
+from carrl.sim.geometry import corners_beyond, rectangle_touches
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
+from carrl.sim.single_track import SingleTrack
 from carrl.sim.vehicle import Disc, Rectangle, Vehicle
+from carrl.tracks.track import Track
 from tests.reference.swept_rectangle import swept_distance
 from tests.sim.shapes import as_floats, random_poses, random_track, square_room
 from tests.sim.steering import steer
@@ -34,6 +37,14 @@ class Truck(Vehicle):
     @property
     def body(self):
         return Rectangle(self.length, self.width)
+
+
+class CornerTruck(Truck):
+    """One whose corners alone touch walls."""
+
+    @property
+    def body(self):
+        return Rectangle(self.length, self.width, by_corners=True)
 
 
 def touches(begin, end, heading, half_size, walls):
@@ -96,9 +107,50 @@ def test_the_machine_code_and_the_torch_code_find_what_shapely_finds(seed):
     assert 10 < collided < 110
 
 
-def test_a_car_that_is_nowhere_has_collided_whatever_its_body():
+def corners_are_beyond(begin, end, heading, walls):
+    begin, end = (torch.tensor([point], dtype=torch.float64) for point in (begin, end))
+    return bool(corners_beyond(begin, end, torch.tensor([heading], dtype=torch.float64), (1.5, 0.5), walls))
+
+
+def test_corners_touch_no_wall_that_pokes_between_them_and_any_that_they_are_beyond():
+    spike = torch.tensor([[[-9.0, 2.0], [0.0, 0.3]], [[0.0, 0.3], [9.0, 2.0]]], dtype=torch.float64)
+    assert touches((0, 0), (0, 0), 0.0, (1.5, 0.5), spike)
+    assert not corners_are_beyond((0, 0), (0, 0), 0.0, spike)
+    assert not corners_are_beyond((0, 0), (0, 0.05), 0.0, spike)  # its corners reach 0.55, and the walls are at 0.58
+    assert corners_are_beyond((0, 0), (0, 0.1), 0.0, spike)
+    ahead = torch.tensor([[[5.0, -9.0], [5.0, 9.0]]], dtype=torch.float64)
+    assert not corners_are_beyond((3, 0), (3.49, 0), 0.0, ahead)
+    for far in (3.51, 4.9, 5.1, 6.4, 6.6, 30.0):
+        assert corners_are_beyond((3, 0), (far, 0), 0.0, ahead)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_corners_are_beyond_walls_where_shapely_finds_them_off_the_road(compiled):
+    track, truck = Track.load("oval"), CornerTruck()
+    rings = [shapely.Polygon(wall.double().tolist()) for wall in (track.left_wall, track.right_wall)]
+    road = rings[0].symmetric_difference(rings[1])
+    simulator = Simulator(track, truck, Sensor(rays=3), compiled=compiled)
+    place, beside, heading = torch.rand(3, 400, generator=torch.Generator().manual_seed(0))
+    cars = simulator.start(place * track.length, offset=2 * beside - 1, heading=6 * heading)
+    outcome = simulator.step(cars, steer(torch.arange(400) % 3))
+    for (x, y, angle), collided in zip(outcome.cars.pose.double().tolist(), outcome.collided.tolist(), strict=True):
+        turned = shapely.affinity.rotate(shapely.box(-1.5, -0.6, 1.5, 0.6), angle, (0, 0), use_radians=True)
+        corners = shapely.points(shapely.affinity.translate(turned, x, y).exterior.coords[:4])
+        assert collided == (not shapely.contains(road, corners).all())
+    assert 20 < outcome.collided.sum() < 380
+    assert not outcome.gates_passed[outcome.collided].any()
+    assert torch.equal(outcome.ranges, simulator.sense(outcome.cars))
+
+
+def test_cars_whose_corners_alone_touch_walls_do_not_slide():
+    with pytest.raises(ConfigError, match=r"vehicle.contact is 'corners'; where end lets cars slide .* must be 'body'"):
+        Simulator(Track.load("oval"), SingleTrack("f1tenth", contact="corners"), Sensor(), slide=0.9)
+
+
+@pytest.mark.parametrize("truck", [Truck(), CornerTruck()])
+def test_a_car_that_is_nowhere_has_collided_whatever_its_body(truck):
     for compiled in (True, False):
-        simulator = Simulator(random_track(0), Truck(), Sensor(rays=1), compiled=compiled)
+        simulator = Simulator(random_track(0), truck, Sensor(rays=1), compiled=compiled)
         outcome = simulator.step(CarState.at(torch.tensor([[math.nan, 0.0, 0.0]])), steer(torch.tensor([0])))
         assert outcome.collided.all()
 

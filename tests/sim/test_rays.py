@@ -68,6 +68,8 @@ def test_ranges_in_a_square_room_are_those_worked_by_hand():
 
 def test_the_first_ray_points_to_the_right_of_the_heading_and_the_last_to_the_left():
     room = square_room(10.0)
+    torch.testing.assert_close(Sensor(3, 180.0, turn=-30.0).angles, torch.tensor([-2, -0.5, 1]) * math.pi / 3)
+    torch.testing.assert_close(Sensor(1, turn=90.0).angles, torch.tensor([math.pi / 2]))
     angles = Sensor(rays=3, field_of_view=180.0).angles
     assert angles.tolist() == pytest.approx([-math.pi / 2, 0, math.pi / 2])
     ranges = ray_distances(torch.tensor([[2.0, 5.0]]), angles[None], room, 100.0)[0]

@@ -103,3 +103,27 @@ def test_actions_that_do_not_fit_the_vehicle_are_refused_wherever_they_meet(acti
         TrackEnv("oval", vehicle=vehicle, action=actions)
     with pytest.raises(ConfigError, match=message):
         make_world("oval", vehicle=vehicle, action=actions)
+
+
+def test_a_range_says_what_the_numbers_of_a_control_stand_for():
+    actions = ContinuousActions(("steer", "throttle"), {"throttle": [-0.5, 1.0]})
+    numbers = torch.tensor([[-1.0, -1.0], [0.5, 0.0], [0.0, 3.0]])
+    assert actions.controls(numbers).tolist() == [[-1, -0.5], [0.5, 0.25], [0, 1]]
+    assert actions.first.tolist() == [0, 0]
+    env = TrackEnv("oval", 1, vehicle=Kart(), action=ContinuousActions(ranges={"throttle": [0.0, 0.5]}))
+    assert env.task.action.controls(torch.tensor([[0.25, 1.0]])).tolist() == [[0.25, 0.5]]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "says"),
+    [
+        ({"steer": [0.5]}, r"action\.ranges\.steer is \[0\.5\]; it must be two numbers within -1 and 1"),
+        ({"steer": [0.0, 1.5]}, r"action\.ranges\.steer is \[0\.0, 1\.5\]; it must be two numbers within"),
+        ({"steer": 0.5}, r"action\.ranges\.steer is 0\.5; it must be two numbers"),
+        ({"steer": [0.5, 0.5]}, r"action\.ranges\.steer is \[0\.5, 0\.5\]; the first number must be the lower one"),
+        ({"wheel": [0.0, 0.5]}, r"action\.ranges has 'wheel'; the vehicle is controlled by steer, throttle"),
+    ],
+)
+def test_a_range_that_is_none_is_refused(ranges, says):
+    with pytest.raises(ConfigError, match=says):
+        TrackEnv("oval", 1, vehicle=Kart(), action=ContinuousActions(ranges=ranges))
