@@ -28,6 +28,7 @@ _LEAST_STEP, _MOST_STEP = 1e-3, 1e3
 """Of the time between two stations, in what it takes at half of full speed."""
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
+    "expand": True,  # one list of operations: seconds to build, and an eighth of the time for each second derivative
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.max_iter": MOST_ITERATIONS,
