@@ -102,17 +102,21 @@ def _controls(vehicle: VehicleModel, cars: int) -> list[Tensor]:
     return [2 * torch.rand(cars, len(vehicle.control_names), generator=generator) - 1 for _ in range(PREPARED)]
 
 
+def _drive_race_car(track: Track, cars: int) -> Drive:
+    return _drive_f1tenth_gym(track, cars, whole=False)
+
+
 def _drive_f1tenth(track: Track, cars: int) -> Drive:
     return _drive_simulator(track, cars, F1TENTH_CAR, F1TENTH_SENSOR)
 
 
-def _drive_f1tenth_gym(track: Track, cars: int) -> Drive:
+def _drive_f1tenth_gym(track: Track, cars: int, whole: bool = True) -> Drive:
     if importlib.util.find_spec("f110_gym") is None:
         raise LeftOutError("f110_gym is not installed, and not on PyPI; see benchmarks/sim_f1tenth.py")
-    from benchmarks.sim_f1tenth import make_race_car
+    from benchmarks.sim_f1tenth import make_drive
 
     pose = Simulator(track, F1TENTH_CAR, F1TENTH_SENSOR).start(random_stations(track, 1)).pose[0]
-    step = make_race_car(track, pose, F1TENTH_CAR, F1TENTH_SENSOR)
+    step = make_drive(track, pose, F1TENTH_CAR, F1TENTH_SENSOR, whole)
     controls = cycle(torch.cat(_controls(F1TENTH_CAR, cars)).tolist())
 
     def drive() -> int:
@@ -224,6 +228,7 @@ CONTESTANTS = {
         Contestant("race-car", "CarRL simulator, single_track", partial(_drive_simulator, vehicle=SingleTrack())),
         Contestant("f1tenth", "CarRL simulator, F1TENTH's car, 20 rays", _drive_f1tenth, paper_only=True),
         Contestant("f1tenth-gym", "f1tenth_gym, 20 rays", _drive_f1tenth_gym, paper_only=True, one_car=True),
+        Contestant("f1tenth-car", "f1tenth_gym, a RaceCar alone", _drive_race_car, paper_only=True, one_car=True),
         Contestant("env", "CarRL TrackEnv", _drive_env),
         Contestant("collector", "CarRL TrackEnv in a Collector", _drive_collector),
         Contestant("gym", "CarRL, gymnasium.make", _drive_gym, one_car=True),

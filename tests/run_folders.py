@@ -1,6 +1,7 @@
 """Writes the folders that training leaves, in milliseconds and with figures of one's choice."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,15 @@ def write_run(
     (folder / "summary.json").write_text(json.dumps(summary))
     rows = [f"{index},{100 * (index + 1)},{value},{value}\n" for index, value in enumerate(returns)]
     (folder / "metrics.csv").write_text(METRICS_HEADER + "".join(rows))
+    reward = 400.0 - (first_lap or frames) / 10
+    write_evaluations(folder, [(frames // 2, False, reward - 100), (frames, best["lap_completed"], reward)])
     return folder
+
+
+def write_evaluations(folder: Path, trials: Sequence[tuple[int, bool, float]]) -> None:
+    """Frames, whether the lap was completed, and its reward, of networks that were tried out in training."""
+    rows = [f"{frame},{lapped},{reward}\n" for frame, lapped, reward in trials]
+    (folder / "evaluations.csv").write_text("frames,lap_completed,lap_reward\n" + "".join(rows))
 
 
 def write_offline_run(folder: Path, seed: int = 0, updates: int = 500, **drive: Any) -> Path:
@@ -91,6 +100,7 @@ def write_offline_run(folder: Path, seed: int = 0, updates: int = 500, **drive: 
         json.dumps(summary | {"first_lap": None, "transitions": 1000, "updates": updates})
     )
     (folder / "metrics.csv").write_text("updates,loss\n500,1.0\n")
+    (folder / "evaluations.csv").unlink()
     return folder
 
 

@@ -48,11 +48,6 @@ def test_numbers_as_actions_are_refused_by_dqn_in_one_sentence():
         build_pipeline(compose("action=continuous"))
 
 
-def test_powers_of_what_may_be_negative_are_refused():
-    with pytest.raises(ConfigError, match=r"network.input_exponent is 0.5, and the observation's .*slip.* may be neg"):
-        build_pipeline(compose("vehicle=kinematic", "action=table", "observation=racer", "network.input_exponent=0.5"))
-
-
 def test_a_track_file_is_an_option_of_the_track_group(real_circuits):
     path = real_circuits / "Norisring.csv"
     pipeline = build_pipeline(compose("track=file", f"track.name_or_path='{path}'"))

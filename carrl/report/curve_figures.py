@@ -152,8 +152,8 @@ def return_curves(groups: Sequence[Group]) -> list[Curve]:
             end = min(run.summary["frames"] for run in runs if run.summary)
             points = grid[(grid >= begin) & (grid <= end)]
             if len(points):
-                held = [_held(run.ends.frames, run.ends.mean_returns, points) for run in runs]
-                curves.append(Curve(label, len(runs), points, iqm_band(np.stack(held))))
+                rows = [_held(run.ends.frames, run.ends.mean_returns, points) for run in runs]
+                curves.append(Curve(label, len(runs), points, iqm_band(np.stack(rows))))
     return curves
 
 
@@ -204,8 +204,8 @@ def draw_returns(path: Path, groups: Sequence[Group]) -> bool:
     draw_curves(axes, curves, styles)
     axes.set_xlim(0, max(curve.points[-1] for curve in curves))
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-    _count_frames(axes)
-    _name_axes(axes, "frames (env steps)", "return, mean of the last 20 episodes")
+    count_frames(axes)
+    name_axes(axes, "frames (env steps)", "return, mean of the last 20 episodes")
     _warn_of_scales(axes, groups)
     axes.set_title("interquartile mean, 95 % band", fontsize=7.5, color=FAINT, loc="right")
     name_groups(figure, curves, styles)
@@ -230,14 +230,14 @@ def draw_profiles(path: Path, groups: Sequence[Group]) -> bool:
         _draw_profile(axes, curves, styles)
         if curves is laps:
             axes.set_xlim(left=0)
-            _count_frames(axes, ticks=5)
-            _name_axes(axes, "frames (env steps)", "share of runs that have lapped")
+            count_frames(axes, ticks=5)
+            name_axes(axes, "frames (env steps)", "share of runs that have lapped")
             axes.set_title("95 % bands", fontsize=7.5, color=FAINT, loc="right")
         else:
             what = "final return, mean of 20 episodes" if curves is returns else "reward of the best drive"
             axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
             axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
-            _name_axes(axes, f"τ: {what}", "share of runs above τ")
+            name_axes(axes, f"τ: {what}", "share of runs above τ")
             _warn_of_scales(axes, groups)
     name_groups(figure, max(panels, key=len), styles)
     save_figure(figure, path)
@@ -252,7 +252,8 @@ def _draw_profile(axes: Axes, curves: Sequence[Curve], styles: dict[str, Look]) 
     axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
 
 
-def _count_frames(axes: Axes, ticks: int = 6) -> None:
+def count_frames(axes: Axes, ticks: int = 6) -> None:
+    """Writes env steps along the horizontal axis."""
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]))
 
@@ -262,6 +263,7 @@ def _warn_of_scales(axes: Axes, groups: Sequence[Group]) -> None:
         axes.set_title("rewards or tracks differ, and so do the scales", fontsize=7.5, color=FAINT, loc="left")
 
 
-def _name_axes(axes: Axes, horizontal: str, vertical: str) -> None:
+def name_axes(axes: Axes, horizontal: str, vertical: str) -> None:
+    """What the two axes show."""
     axes.set_xlabel(horizontal, color=INK, fontsize=9)
     axes.set_ylabel(vertical, color=INK, fontsize=9)

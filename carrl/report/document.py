@@ -18,6 +18,10 @@ from carrl.report.text import Picture, comma_separated, report_text
 RUN_FIGURES = ("episodes", "frames", "updates", "wall_time_s")
 REPORT, DOCUMENT, RUNS, GROUPS = "report.md", "report.json", "runs.csv", "groups.csv"
 RETURNS = Picture("learning_curves.png", "Return against frames: interquartile mean of the runs, with its 95 % band")
+TRIALS = Picture(
+    "evaluation_curves.png",
+    "Laps, and speed or reward, of the networks that were tried out: each run, and their interquartile mean",
+)
 PROFILES = Picture(
     "performance_profile.png", "Share of the runs that have lapped, and that end above a return, with 95 % bands"
 )
@@ -155,8 +159,10 @@ def draw_figures(folder: Path, findings: Findings) -> list[Picture]:
     # Here, as Matplotlib takes long to import and the document alone does not need it.
     from carrl.report.comparison_figures import draw_first_laps, draw_improvement, draw_smoothness
     from carrl.report.curve_figures import draw_profiles, draw_returns
+    from carrl.report.trial_figures import draw_trials
 
     drawn = {
+        TRIALS: draw_trials(folder / TRIALS.file, findings.groups),
         RETURNS: draw_returns(folder / RETURNS.file, findings.groups),
         PROFILES: draw_profiles(folder / PROFILES.file, findings.groups),
         IMPROVEMENT: draw_improvement(folder / IMPROVEMENT.file, findings),

@@ -250,11 +250,12 @@ class Evaluator(Callback):
     """Greedy laps of every validation circuit, every so many env steps and at the end.
 
     Args:
-        plan: how often, and from how many places; None for the start line, at the end alone.
+        plan: how often, from how many places, and how many laps; None for one from the start line, at the end alone.
     """
 
     def __init__(self, plan: EvaluationPlan | None) -> None:
-        self._interval, self._starts = plan.interval if plan else None, plan.starts if plan else 1
+        self._interval = plan.interval if plan else None
+        self._starts, self._laps = (plan.starts, plan.laps) if plan else (1, 1)
         self._evaluated_at, self._round_began_at = -1, 0
         self._simulator: Simulator | None = None  # where transitions come from logs, there is none before the end
 
@@ -301,4 +302,4 @@ class Evaluator(Callback):
             return [number * drives_each + result.shown for number, result in enumerate(of_replicates(drives))]
 
         policy = trainer.algorithm.greedy_policy
-        return of_replicates(rollout(world, self._simulator, policy, stations, track, kept=shown))
+        return of_replicates(rollout(world, self._simulator, policy, stations, track, kept=shown, laps=self._laps))

@@ -7,6 +7,7 @@ from typing import Any
 
 from carrl.config import is_whole_number, whole
 from carrl.errors import ConfigError, shown
+from carrl.evaluation.rollout import MOST_LAPS
 
 MOST_REPLICATES = 4096
 """That train side by side."""
@@ -107,17 +108,21 @@ class EvaluationPlan:
     Attributes:
         interval: env steps between two evaluations, greedy drives on the validation circuits or the one track.
         starts: places on each of them, spread evenly from its start line on; a drive begins at each.
+        laps: of each drive, in a row; where they are several, networks are chosen by the last of them, a flying lap.
     """
 
     interval: int
     starts: int = 1
+    laps: int = 1
 
     def __post_init__(self) -> None:
-        """Raises ConfigError unless both are positive."""
+        """Raises ConfigError unless all are positive."""
         if self.interval < 1:
             raise ConfigError(f"evaluation.interval is {self.interval}; it must be at least 1 env step")
         if not (is_whole_number(self.starts) and 1 <= self.starts <= MOST_STARTS):
             raise ConfigError(f"evaluation.starts is {self.starts}; it must be a whole number from 1 to {MOST_STARTS}")
+        if not (is_whole_number(self.laps) and 1 <= self.laps <= MOST_LAPS):
+            raise ConfigError(f"evaluation.laps is {self.laps}; it must be a whole number from 1 to {MOST_LAPS}")
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,9 @@ def test_every_network_reads_powers_of_the_observations_if_it_is_to(make):
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             return network(TensorDict({"observation": observation}, [5]))["action_value"]
 
-    observation = torch.rand(5, 7)
-    torch.testing.assert_close(values(0.5, observation), values(1.0, observation.sqrt()))
+    observation = 2 * torch.rand(5, 7) - 1
+    roots = observation.sign() * observation.abs().sqrt()
+    torch.testing.assert_close(values(0.5, observation), values(1.0, roots))
     assert not torch.allclose(values(0.5, observation), values(1.0, observation))
 
 

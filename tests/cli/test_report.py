@@ -8,7 +8,14 @@ import pytest
 from carrl.cli.main import main
 from tests.run_folders import write_offline_run, write_run, write_sweep
 
-FIGURES = {"learning_curves.png", "performance_profile.png", "improvement.png", "first_lap.png", "smoothness.png"}
+FIGURES = {
+    "evaluation_curves.png",
+    "learning_curves.png",
+    "performance_profile.png",
+    "improvement.png",
+    "first_lap.png",
+    "smoothness.png",
+}
 TEXTS = {"report.md", "report.json", "runs.csv", "groups.csv"}
 
 

@@ -10,7 +10,8 @@ from carrl.report.comparison_figures import UNDECIDED
 from carrl.report.curve_figures import COLOURS, looks, short, wrapped
 from carrl.report.document import draw_figures
 from carrl.report.findings import find
-from tests.run_folders import write_run, write_sweep
+from carrl.report.runs import Trials
+from tests.run_folders import write_evaluations, write_run, write_sweep
 
 
 def pixels_of(path, colour):
@@ -29,7 +30,9 @@ def figures(tmp_path_factory):
     return root
 
 
-@pytest.mark.parametrize("name", ["learning_curves", "performance_profile", "first_lap", "smoothness"])
+@pytest.mark.parametrize(
+    "name", ["evaluation_curves", "learning_curves", "performance_profile", "first_lap", "smoothness"]
+)
 def test_each_group_has_its_colour_in_every_figure(name, figures):
     path = figures / f"{name}.png"
     with Image.open(path) as image:
@@ -52,11 +55,26 @@ def test_many_groups_with_long_names_are_drawn(tmp_path):
         write_run(tmp_path / str(index), network={"hidden_sizes": sizes})
         write_run(tmp_path / f"{index}, seed 1", 1, network={"hidden_sizes": sizes})
     drawn = draw_figures(tmp_path, find([tmp_path]))
-    assert len(drawn) == 5
+    assert len(drawn) == 6
     for picture in drawn:
         with Image.open(tmp_path / picture.file) as image:
             image.load()
             assert image.width == 910
+
+
+def test_evaluations_are_read_as_shares_of_laps_and_speeds_up_to_a_damaged_row(tmp_path):
+    header = "frames,lap_completed,lap_reward,mean_speed,drives,laps_completed\n"
+    (write_run(tmp_path) / "evaluations.csv").write_text(f"{header}100,False,9,21.5,8,6\n200,True,9,22,8,8\n300,Tr")
+    (run,) = find([tmp_path]).runs
+    assert run.trials == Trials((100, 200), (0.75, 1.0), (21.5, 22.0), has_speed=True)
+    write_evaluations(tmp_path, [(100, False, 7.0), (200, True, 9.0)])
+    (run,) = find([tmp_path]).runs
+    assert run.trials == Trials((100, 200), (0.0, 1.0), (7.0, 9.0), has_speed=False)
+
+
+def test_runs_that_were_tried_out_once_have_no_curve_of_evaluations(tmp_path):
+    write_evaluations(write_run(tmp_path), [(100, True, 7.0)])
+    assert "evaluation_curves.png" not in [picture.file for picture in draw_figures(tmp_path, find([tmp_path]))]
 
 
 def test_more_groups_than_colours_differ_in_their_lines(tmp_path):

@@ -9,6 +9,7 @@ import torch
 
 from carrl.config import config_dir
 from carrl.errors import CarrlError, ConfigError
+from carrl.evaluation.rollout import TrackEvaluator
 from carrl.log import load
 from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
@@ -239,6 +240,18 @@ def test_networks_are_tried_out_from_several_places(tmp_path):
     assert read_rows(tmp_path / "evaluations.csv")[-1]["drives"] == "6"
     with pytest.raises(ConfigError, match=r"evaluation.starts is 0; it must be a whole number from 1 to 1000"):
         build_pipeline(compose("evaluation.starts=0"))
+
+
+def test_networks_are_tried_out_by_several_laps_in_a_row(tmp_path):
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "evaluation.laps=2")
+    (run,), world = trainer.runs, pipeline.world
+    evaluator = TrackEvaluator(world, world.circuits.validation, starts=1, laps=2)
+    expected = [drive.measures() for (drive,) in evaluator.evaluate(trainer.algorithm.greedy_policy)]
+    assert [drive.measures() for drive in run.last.rollouts] == expected
+    (once,) = train(tmp_path / "once", *CIRCUITS)[0].runs
+    assert run.last.measures()["progress"] < once.last.measures()["progress"]
+    with pytest.raises(ConfigError, match=r"evaluation.laps is 0; it must be a whole number from 1 to 1000"):
+        build_pipeline(compose("evaluation.laps=0"))
 
 
 def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):

@@ -11,7 +11,7 @@ from tensordict.nn import NormalParamExtractor
 from torch import Tensor, nn
 from torchrl.modules import MLP
 
-from carrl.algorithms.common.network import check_hidden_sizes, initialise
+from carrl.algorithms.common.network import Power, check_hidden_sizes, initialise, on_powers, power_of
 
 Activation = Literal["relu", "tanh", "elu"]
 _ACTIVATIONS = {"relu": nn.ReLU, "tanh": nn.Tanh, "elu": nn.ELU}
@@ -26,7 +26,7 @@ class Actor(nn.Module):
         is_stochastic: whether actions are drawn.
     """
 
-    def __init__(self, layers: nn.Sequential, is_stochastic: bool) -> None:
+    def __init__(self, layers: nn.Module, is_stochastic: bool) -> None:
         super().__init__()
         self.layers, self.is_stochastic = layers, is_stochastic
         self.distribution = NormalParamExtractor()
@@ -42,15 +42,17 @@ class Critic(nn.Module):
 
     Args:
         layers: from an observation, followed by an action, to one value.
+        power: which the observation is raised to first; None for none.
     """
 
-    def __init__(self, layers: nn.Sequential) -> None:
+    def __init__(self, layers: nn.Module, power: Power | None = None) -> None:
         super().__init__()
-        self.layers = layers
+        self.layers, self.power = layers, power
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """The discounted return that is expected after it, [N, 1]: observations [N, O], actions [N, C]."""
-        value: Tensor = self.layers(torch.cat([observation, action], dim=-1))
+        seen = observation if self.power is None else self.power(observation)
+        value: Tensor = self.layers(torch.cat([seen, action], dim=-1))
         return value
 
 
@@ -65,6 +67,7 @@ def make_actor_critic(
     actor_sizes: Sequence[int],
     critic_sizes: Sequence[int],
     activation: Activation,
+    input_exponent: float = 1.0,
     *,
     observation_size: int,
     controls: int,
@@ -83,6 +86,8 @@ def make_actor_critic(
         actor_sizes: units of each of the actor's hidden layers.
         critic_sizes: units of each of a critic's hidden layers.
         activation: of the hidden layers: relu, tanh or elu.
+        input_exponent: that the sizes of observations are raised to first; less than 1 spreads the short distances of a
+            long range, as in `make_q_network`.
         observation_size: how many values an observation has.
         controls: how many numbers an action has.
         is_stochastic: whether actions are drawn.
@@ -90,14 +95,15 @@ def make_actor_critic(
         generator: draws the weights.
 
     Raises:
-        ConfigError: a hidden layer without units, too many layers or weights.
+        ConfigError: a hidden layer without units, too many layers or weights, or an exponent that is not positive.
     """
     outputs = 2 * controls if is_stochastic else controls
     check_hidden_sizes(actor_sizes, observation_size, outputs, "actor_sizes")
     check_hidden_sizes(critic_sizes, observation_size + controls, 1, "critic_sizes")
-    actor = _layers(observation_size, actor_sizes, outputs, activation, generator)
+    actor = on_powers(_layers(observation_size, actor_sizes, outputs, activation, generator), input_exponent)
     valuing = [_layers(observation_size + controls, critic_sizes, 1, activation, generator) for _ in range(critics)]
-    return ActorCritic(Actor(actor, is_stochastic), [Critic(layers) for layers in valuing])
+    power = power_of(input_exponent)
+    return ActorCritic(Actor(actor, is_stochastic), [Critic(layers, power) for layers in valuing])
 
 
 def _layers(

@@ -21,7 +21,7 @@ MOST_WEIGHTS = 2**26
 
 
 class Power(nn.Module):
-    """Raises every value, none of them negative, to one exponent."""
+    """Raises the size of every value to one exponent; signs stay."""
 
     def __init__(self, exponent: float) -> None:
         super().__init__()
@@ -29,7 +29,7 @@ class Power(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """Of the same shape."""
-        return values**self.exponent
+        return values.sign() * values.abs() ** self.exponent
 
 
 class QNetwork(QValueActor):
@@ -259,12 +259,22 @@ def on_powers(layers: nn.Module, input_exponent: float) -> nn.Module:
     Raises:
         ConfigError: the exponent is not positive.
     """
-    if not 0 < input_exponent < math.inf:
-        raise ConfigError(f"network.input_exponent is {input_exponent}; it must be a positive number")
-    if input_exponent == 1:
+    power = power_of(input_exponent)
+    if power is None:
         return layers
     following = layers if isinstance(layers, nn.Sequential) else [layers]
-    return nn.Sequential(Power(input_exponent), *following)
+    return nn.Sequential(power, *following)
+
+
+def power_of(input_exponent: float) -> Power | None:
+    """What raises inputs to the exponent; None where they stay as they are.
+
+    Raises:
+        ConfigError: the exponent is not positive.
+    """
+    if not 0 < input_exponent < math.inf:
+        raise ConfigError(f"network.input_exponent is {input_exponent}; it must be a positive number")
+    return None if input_exponent == 1 else Power(input_exponent)
 
 
 def is_dueling(network: QNetwork) -> bool:

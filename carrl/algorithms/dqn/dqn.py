@@ -313,8 +313,7 @@ class DQNRecipe:
         """The network for this world, with the weights that the generator draws.
 
         Raises:
-            ConfigError: the actions of the world are not a choice among some, or a part is that of another algorithm,
-                or the network wants powers of what may be negative.
+            ConfigError: the actions of the world are not a choice among some, or a part is that of another algorithm.
         """
         check_parts(config, _PARTS, actor_critic=False)
         spec = world.action.spec
@@ -322,14 +321,6 @@ class DQNRecipe:
             raise ConfigError(
                 "DQN has a value for each action, and action is made of numbers; set an action of discrete choices, "
                 "such as steer3, or loss=sac"
-            )
-        node = config["network"]
-        exponent = node.get("input_exponent", 1.0) if isinstance(node, Mapping) else 1.0
-        negative = [part.name for part in world.observation.parts(world.sensor, world.action) if part.low < 0]
-        if exponent != 1 and negative:
-            raise ConfigError(
-                f"network.input_exponent is {exponent}, and the observation's {', '.join(negative)} may be negative, "
-                "of which there are no powers; set it to 1"
             )
         network: QNetwork = build_node(
             "network",
