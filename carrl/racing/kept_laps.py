@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carrl.cache import CacheError, forget_least_used, is_own, own_cache_dir
-from carrl.errors import TrackError
+from carrl.errors import CarrlError, TrackError
 from carrl.files import read_whole, write_whole
 from carrl.racing.equations import casadi
 from carrl.racing.minimum_lap import MinimumLap, minimum_lap, point_mass_lap
@@ -58,9 +58,12 @@ def kept_lap(
     kept = _read(path)
     if kept is None:
         kept = find()
-        write_whole(path, _as_json(kept).encode())
-        path.chmod(0o600)
-        forget_least_used(folder, "lap-*.json", MAX_BYTES, path)
+        try:
+            write_whole(path, _as_json(kept).encode())
+            path.chmod(0o600)
+            forget_least_used(folder, "lap-*.json", MAX_BYTES, path)
+        except (CarrlError, OSError) as error:  # the lap itself is none the worse
+            _logger.warning("The minimum lap is not kept: %s.", error)
     return kept
 
 
@@ -69,7 +72,8 @@ def _fingerprint(track: "Track", vehicle: "VehicleModel", *settings: object) -> 
     digest = hashlib.sha256(track.road.numpy().tobytes())
     parts = type(vehicle).__name__, sorted(vars(vehicle).items()), settings, casadi().__version__
     digest.update(repr(parts).encode())
-    for file in sorted(Path(__file__).parent.glob("*.py")):
+    own = Path(__file__).parent
+    for file in (*sorted(own.glob("*.py")), *(own.parent / "sim" / name for name in ("driven.py", "tyres.py"))):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:32]
 

@@ -1,10 +1,10 @@
-"""The lap as a nonlinear programme: multiple shooting from station to station by the implicit midpoint rule.
+"""The lap as a nonlinear programme: direct transcription from station to station by the implicit midpoint rule.
 
 The unknowns at a station are the offset from the middle of the road along the line across it, the heading against the
 road's, and the rest of the model's motion; between two stations they are the controls and the time. Places are
 Cartesian, so that nothing depends on the curvature of some line.
 
-Shapes: `N` stations, `S` states, `C` controls, `T` quantities between two stations. Units: m, s, rad.
+Shapes: `N` stations, `S` states, `C` controls, `P` points of a side of the body. Units: m, s, rad.
 """
 
 import time
@@ -120,46 +120,55 @@ class LapProblem:
 
     def _build(self) -> None:
         """The programme, and bounds of its unknowns and constraints."""
-        ca, model, count = casadi(), self.model, len(self.sections.stations)
-        states, controls = len(self._state_scale), len(self._control_scale)
-        state, after = ca.SX.sym("state", states), ca.SX.sym("after", states)
-        control, section, section_after = ca.SX.sym("control", controls + 1), ca.SX.sym("s", 5), ca.SX.sym("t", 5)
-        begin, end = self._motion(state, section), self._motion(after, section_after)
-        middle = [(first + second) / 2 for first, second in zip(begin, end, strict=True)]
-        given = ca.vertsplit(control[:-1] * self._control_scale)
-        step = control[-1] * self._time_scale
-        rates = model.rates(middle, given)
-        gaps = [
-            (second - first - step * rate) / scale
-            for first, second, rate, scale in zip(begin, end, rates, self._gap_scales(), strict=True)
-        ]
-        limits = model.limits(begin, middle, given)
-        dynamics = ca.Function(
-            "dynamics", [state, control, after, section, section_after], [ca.vertcat(*gaps), ca.vertcat(*limits)]
-        )
-        walls = ca.SX.sym("left", 7), ca.SX.sym("right", 7)
-        room = ca.Function("room", [state, section, *walls], [ca.vertcat(*self._room(begin, walls))])
-        all_states, all_controls = ca.MX.sym("states", states, count), ca.MX.sym("controls", controls + 1, count)
-        ahead = ca.horzcat(all_states[:, 1:], all_states[:, 0])
+        ca, count = casadi(), len(self.sections.stations)
+        states = ca.MX.sym("states", len(self._state_scale), count)
+        controls = ca.MX.sym("controls", len(self._control_scale) + 1, count)
+        ahead = ca.horzcat(states[:, 1:], states[:, 0])
         columns, columns_after = self.sections.columns, self.sections.columns_after
-        gap, limit = dynamics.map(count)(all_states, all_controls, ahead, columns, columns_after)
-        frames = self.sections.walls(reach=model.car.length / 2)
-        frame_columns = [frame.columns for frame in frames]
-        space = room.map(count)(all_states, columns, *frame_columns)
-        self._rooms = lambda scaled: room.map(count)(scaled, columns, *frame_columns)
-        time_of_lap = self._time_scale * ca.sum2(all_controls[controls, :])
-        cost = time_of_lap
-        if model.smoothed is not None:
-            used = all_controls[model.smoothed, :] ** 2 * all_controls[controls, :]
-            cost += SMOOTHING * self._time_scale * ca.sum2(used)
+        gap, limit = self._dynamics().map(count)(states, controls, ahead, columns, columns_after)
+        space = self._rooms(states)
+        times = self._time_scale * controls[-1, :]
+        cost, smoothed = ca.sum2(times), self.model.smoothed
+        if smoothed is not None:
+            cost = cost + SMOOTHING * ca.sum2(controls[smoothed, :] ** 2 * times)
         self._programme = {
-            "x": ca.vertcat(ca.vec(all_states), ca.vec(all_controls)),
+            "x": ca.vertcat(ca.vec(states), ca.vec(controls)),
             "f": cost,
             "g": ca.vertcat(ca.vec(gap), ca.vec(limit), ca.vec(space)),
         }
         sizes = [gap.numel(), limit.numel(), space.numel()]
         low = np.repeat([0.0, -np.inf, self.margin / self._state_scale[0]], sizes)
         self._bounds = {**self._box(), "lbg": low, "ubg": np.repeat([0.0, 0.0, np.inf], sizes)}
+
+    def _dynamics(self) -> Any:
+        """From a station to the next: what must be 0 that the motion follows its rates, and the model's limits."""
+        ca, model = casadi(), self.model
+        state, after = (ca.SX.sym(name, len(self._state_scale)) for name in ("state", "after"))
+        control = ca.SX.sym("control", len(self._control_scale) + 1)
+        section, section_after = ca.SX.sym("section", 5), ca.SX.sym("section_after", 5)
+        begin, end = self._motion(state, section), self._motion(after, section_after)
+        middle = [(first + second) / 2 for first, second in zip(begin, end, strict=True)]
+        given, step = ca.vertsplit(control[:-1] * self._control_scale), control[-1] * self._time_scale
+        gaps = [
+            (second - first - step * rate) / scale
+            for first, second, rate, scale in zip(
+                begin, end, model.rates(middle, given), self._gap_scales(), strict=True
+            )
+        ]
+        limits = model.limits(begin, middle, given)
+        arguments = [state, control, after, section, section_after]
+        return ca.Function("dynamics", arguments, [ca.vertcat(*gaps), ca.vertcat(*limits)])
+
+    def _rooms(self, states: Any) -> Any:
+        """How far each point of the body is inside of the walls, of scaled states [S, N]: [2P, N], scaled."""
+        ca, count = casadi(), len(self.sections.stations)
+        state, section = ca.SX.sym("state", len(self._state_scale)), ca.SX.sym("section", 5)
+        walls = ca.SX.sym("left", 7), ca.SX.sym("right", 7)
+        room = ca.Function(
+            "room", [state, section, *walls], [ca.vertcat(*self._room(self._motion(state, section), walls))]
+        )
+        frames = self.sections.walls(reach=self.model.car.length / 2)
+        return room.map(count)(states, self.sections.columns, *(frame.columns for frame in frames))
 
     def _motion(self, state: Any, section: Any) -> list[Any]:
         """x, y, heading and the rest, of a scaled state at a section."""

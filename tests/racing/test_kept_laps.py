@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from carrl.cache import cache_dir
+from carrl.errors import TrackError
 from carrl.racing import kept_laps
 from carrl.racing.kept_laps import kept_lap
 from carrl.sim.single_track import SingleTrack
@@ -73,6 +74,15 @@ def test_there_are_never_more_laps_than_fit(found, monkeypatch):
     for margin in (0.0, 0.1):
         kept_lap(Track.load("oval"), SingleTrack(), SPACING, margin)
     assert len(list(cache_dir().iterdir())) == 1
+
+
+def test_a_full_disk_takes_no_lap_away(found, monkeypatch, caplog):
+    def fail(*arguments):
+        raise TrackError("no space is left")
+
+    monkeypatch.setattr(kept_laps, "write_whole", fail)
+    assert kept_lap(Track.load("oval"), SingleTrack(), SPACING).lap_time == oval_lap().lap_time
+    assert "The minimum lap is not kept: no space is left." in caplog.text
 
 
 def test_nothing_is_kept_where_others_can_write(found, caplog):
