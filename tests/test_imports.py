@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 ORDER = [
-    *("errors", "rows", "files", "plain_yaml", "targets", "config"),
-    *("tracks", "sim", "task", "log", "render", "env", "algorithms", "data"),
+    *("errors", "rows", "files", "cache", "plain_yaml", "targets", "config"),
+    *("tracks", "sim", "racing", "task", "log", "render", "env", "algorithms", "data"),
     *("evaluation", "train", "report", "export", "cli"),
     *("registration", "sb3"),
     "__init__",

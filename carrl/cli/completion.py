@@ -30,6 +30,10 @@ FLAGS = {
     "track show": ("--out", *_READING),
     "track check": ("--json", "--body-radius", "--turn-radius", "--step-length", "--near-wall", *_READING),
     "track convert": ("--resolution", "--force", *_READING),
+    "track lap-time": (
+        *("--json", "--quick", "--spacing", "--margin", "--check", "--png", "--csv", "--force"),
+        *_READING,
+    ),
     "track random": (*_RANDOM, "--out", "--force", "--json"),
     "log info": ("--json",),
     "log ls": ("--sort", "--reverse", "--crashed", "--lapped", "--env", "--limit", "--json"),

@@ -16,6 +16,7 @@ from carrl.cli.track_convert import (
     load_as_said,
     run_convert,
 )
+from carrl.cli.track_lap_time import add_lap_time_arguments, run_lap_time
 from carrl.errors import TrackError, printable
 
 if TYPE_CHECKING:
@@ -34,7 +35,13 @@ CAR_FLAGS = (
 
 def main(argv: list[str]) -> int:
     """Runs one verb of `carrl track` and returns the exit code."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments, others = parser.parse_known_args(argv)
+    if "overrides" in arguments:  # argparse takes no more of them once a flag has come between
+        arguments.overrides += [word for word in others if not word.startswith("-")]
+        others = [word for word in others if word.startswith("-")]
+    if others:
+        parser.error(f"unrecognized arguments: {' '.join(others)}")
     return int(arguments.run(arguments))
 
 
@@ -73,6 +80,8 @@ def _parser() -> argparse.ArgumentParser:
         check.add_argument(f"--{flag}", type=float, metavar="M", help=f"{what}, m (default {of_default:g})")
     convert = add_verb("convert", run_convert, "write a track in another format", json_flag=False)
     add_convert_arguments(convert)
+    lap_time = add_verb("lap-time", run_lap_time, "find the minimum lap time of a car, and the line for it")
+    add_lap_time_arguments(lap_time)
     random = add_verb("random", _random, "draw random circuits and write each as a CSV file")
     random.add_argument("--seed", type=int, default=0, metavar="N", help="of the first circuit (default 0)")
     random.add_argument("--count", type=int, default=1, metavar="N", help="how many circuits, of seeds from there on")

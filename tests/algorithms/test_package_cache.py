@@ -12,15 +12,14 @@ import torch
 
 from carrl.algorithms.common import native
 from carrl.algorithms.common.native import (
-    CacheError,
     CompilationError,
-    cache_dir,
     compile_native,
     find_package,
     keep_package,
     open_cache,
     workspace,
 )
+from carrl.cache import CacheError, cache_dir
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
 CONTENT = b"0123456789"

@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from carrl.algorithms.common.native import CompilationError, _fingerprint, cache_dir
+from carrl.algorithms.common.native import CompilationError, _fingerprint
 from carrl.algorithms.dqn.dqn import DQN
+from carrl.cache import cache_dir
 from carrl.data.replay_buffer import KEYS
 from carrl.train.build import build_pipeline
 from carrl.train.learner import Learner

@@ -26,6 +26,8 @@ from torch import Tensor
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
+from carrl.cache import CacheError, forget_least_used, is_own, own_cache_dir
+
 _logger = logging.getLogger(__name__)
 
 
@@ -134,18 +136,8 @@ def _forgotten_paths() -> Iterator[None]:
 
 MAX_BYTES = 512 * 2**20
 """Packages beyond this, about 140 of them, are forgotten, the least recently used first."""
-_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 _cache_logger = logging.getLogger(__name__)
-
-
-class CacheError(Exception):
-    """Compiled code cannot be kept in a place that is the user's alone; the message says why."""
-
-
-def cache_dir() -> Path:
-    """Where compiled code is kept: the user's own cache folder, for code in it is run."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "carrl"
 
 
 def open_cache() -> Path:
@@ -155,14 +147,7 @@ def open_cache() -> Path:
         CacheError: others can write to it, or put another folder in its place.
         OSError: it cannot be made.
     """
-    folder = cache_dir()
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    if not _is_own(folder.stat()):
-        raise CacheError(f"'{folder}' belongs to another user or can be written by others; remove it")
-    for parent in (*folder.parents, *folder.resolve().parents):
-        mode = parent.stat().st_mode
-        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            raise CacheError(f"'{folder}' can be replaced by others, who can write to '{parent}'; chmod o-w '{parent}'")
+    folder = own_cache_dir()
     _remove_left_overs(folder)
     return folder
 
@@ -197,7 +182,7 @@ def keep_package(cache: Path, fingerprint: str, package: Path) -> None:
     package.chmod(0o600)
     kept = cache / f"{fingerprint}.{_checksum(package)}.pt2"
     os.replace(package, kept)
-    _forget_least_used(cache, kept)
+    forget_least_used(cache, "*.pt2", MAX_BYTES, kept)
 
 
 @contextmanager
@@ -255,29 +240,11 @@ def _lock(descriptor: int) -> bool:
 def _is_as_kept(package: Path) -> bool:
     """Whether it is a file of the user's alone with the checksum in its name."""
     status = package.lstat()
-    if not (stat.S_ISREG(status.st_mode) and _is_own(status)):
+    if not (stat.S_ISREG(status.st_mode) and is_own(status)):
         return False
     return package.name.split(".")[1] == _checksum(package)
-
-
-def _is_own(status: os.stat_result) -> bool:
-    return status.st_uid == os.getuid() and not status.st_mode & _WRITABLE_BY_OTHERS
 
 
 def _checksum(package: Path) -> str:
     with package.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _forget_least_used(cache: Path, newest: Path) -> None:
-    """Deletes packages beyond `MAX_BYTES`, but never the newest one."""
-    sizes: dict[Path, tuple[int, int]] = {}
-    for package in cache.glob("*.pt2"):
-        with suppress(FileNotFoundError):
-            status = package.lstat()
-            sizes[package] = status.st_mtime_ns, status.st_size
-    total = sizes.pop(newest, (0, 0))[1]
-    for package in sorted(sizes, key=lambda each: sizes[each], reverse=True):
-        total += sizes[package][1]
-        if total > MAX_BYTES:
-            package.unlink(missing_ok=True)
