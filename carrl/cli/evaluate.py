@@ -161,8 +161,9 @@ def print_evaluation(document: Figures) -> None:
     if len(tracks) > 1:
         rows += _rows(f"all {len(tracks)} tracks", document["all"], styles)
     print_table(f"{name} of {document['run']}", ("track", *header), rows)
-    print_lap_times(tracks)
     runs = document.get("runs", ())
+    of_seeds = [run["tracks"][0] | {"track": f"  seed {run['seed']}"} for run in runs]
+    print_lap_times([*tracks, *of_seeds] if len(tracks) == 1 else tracks)
     if runs:
         print_table(f"{name} of each run, all tracks", ("seed", *header), _rows_of_runs(runs, document["all"], styles))
 

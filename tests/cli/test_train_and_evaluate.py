@@ -255,7 +255,9 @@ def test_several_seeds_leave_a_folder_each_as_if_trained_alone(run, tmp_path, ca
     assert document["all"]["starts"] == 4 == len(document["tracks"][0]["drives"])
     assert document["all"]["laps_completed"] == sum(each["all"]["laps_completed"] for each in document["runs"])
     assert main(["evaluate", str(tmp_path)]) == 0
-    assert "each run" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "each run" in out
+    assert out.index("flying laps") < out.index("seed 4") < out.index("seed 5") < out.index("each run")
     assert main(["report", str(tmp_path)]) == 0
     table = capsys.readouterr().out.partition("## Runs\n\n")[2]
     assert [line.split(" | ")[0] for line in table.splitlines()[2:4]] == ["| seed=4", "| seed=5"]
