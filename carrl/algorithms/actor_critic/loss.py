@@ -23,6 +23,10 @@ ACTOR, CRITIC, ALPHA = "actor", "critic", "alpha"
 """The parts of a replicate that are trained, each with an optimizer of its own; alpha is SAC's temperature."""
 
 
+_LEAST = 1e-6
+"""That the logarithm of nothing is not taken."""
+
+
 class Losses(NamedTuple):
     """What a loss found.
 
@@ -106,10 +110,19 @@ class DDPG(ActorCriticLoss):
     Attributes:
         gamma: discount factor.
         actor_rate: the actor's learning rate, as a multiple of optimizer.lr.
+        saturation: what actions near -1 and 1 cost the actor, times -log(1 - action^2): where tanh is flat nothing else
+            brings an action back.
     """
 
+    saturation: float
     critics = 1
     critic_name = "value_network"
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a price that is negative."""
+        super().__post_init__()
+        if not 0 <= self.saturation < math.inf:
+            raise ConfigError(f"loss.saturation is {self.saturation}; it must be a number of at least 0")
 
     def _make(self, networks: ActorCritic, controls: int) -> LossModule:
         # By default TorchRL 0.14's targets come from the actor that is trained.
@@ -118,7 +131,12 @@ class DDPG(ActorCriticLoss):
     def losses(self, loss: LossModule, transitions: TensorDictBase, with_actor: bool) -> Losses:
         """Both."""
         found = loss(transitions)
-        return Losses({CRITIC: found["loss_value"], ACTOR: found["loss_actor"]}, transitions["td_error"].detach(), {})
+        of_actor = found["loss_actor"]
+        if self.saturation:
+            with loss.actor_network_params.to_module(loss.actor_network):
+                action = loss.actor_network.module(transitions["observation"])
+            of_actor = of_actor - self.saturation * (1 - action.square() + _LEAST).log().mean()
+        return Losses({CRITIC: found["loss_value"], ACTOR: of_actor}, transitions["td_error"].detach(), {})
 
 
 @dataclass(frozen=True)
