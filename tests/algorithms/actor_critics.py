@@ -15,7 +15,7 @@ from carrl.algorithms.common.optimizer import make_soft_update
 
 GAMMA = 0.5
 RULES = {
-    "ddpg": DDPG(GAMMA, 0.1),
+    "ddpg": DDPG(GAMMA, 0.1, saturation=0.02),
     "td3": TD3(GAMMA, 0.2, policy_delay=2, policy_noise=0.2, noise_clip=0.5),
     "sac": SAC(GAMMA, 0.2, alpha=1e-3, learn_alpha=False, target_entropy=None, alpha_rate=1.0),
 }

@@ -65,11 +65,33 @@ def found(rule, transitions, middle, noise=()):
 
 
 def test_ddpgs_target_is_its_one_critic_of_its_target_actors_action():
-    losses = found(DDPG(GAMMA, 1.0), one_transition(), middle=0.5)
+    losses = found(DDPG(GAMMA, 1.0, saturation=0.0), one_transition(), middle=0.5)
     target = 10 + GAMMA * (1 + UPPER * math.tanh(0.5))
     assert losses.td_error.item() == pytest.approx((UPPER - target) ** 2, rel=1e-5)
     assert losses.of_parts["critic"].item() == pytest.approx((UPPER - target) ** 2, rel=1e-5)
     assert losses.of_parts["actor"].item() == pytest.approx(0.0, abs=1e-6)  # of the action 0 in s = 0
+
+
+def test_ddpgs_actor_pays_for_actions_that_tanh_has_flattened():
+    transitions = one_transition()
+    transitions["observation"] = torch.ones(1, 1)
+    action = math.tanh(2.0)
+    for saturation in (0.0, 0.1):
+        losses = found(DDPG(GAMMA, 1.0, saturation), transitions.clone(), middle=2.0)
+        price = -saturation * math.log(1 - action**2 + 1e-6)
+        assert losses.of_parts["actor"].item() == pytest.approx(price - (1 + UPPER * action), rel=1e-5)
+        assert losses.of_parts["critic"].item() == pytest.approx((1 + UPPER - 10 - GAMMA * (1 + UPPER * action)) ** 2)
+
+
+def test_the_price_leads_back_from_where_tanh_is_flat():
+    rule = DDPG(GAMMA, 1.0, saturation=0.1)
+    loss = rule.make(linear_networks(rule, 6.0), 1)
+    make_soft_update(0.5, loss=loss)
+    transitions = one_transition()
+    transitions["observation"] = torch.ones(1, 1)
+    rule.losses(loss, transitions, True).of_parts["actor"].backward()
+    (weight, _) = rule.parameters(loss, "actor")
+    assert weight.grad.item() == pytest.approx(0.2, abs=0.02)  # 2 * saturation, against almost nothing of the critic
 
 
 def test_td3s_target_is_the_lesser_critic_of_an_action_with_clipped_noise():
@@ -141,8 +163,9 @@ def test_the_value_of_an_action_is_that_of_the_less_hopeful_critic():
 
 
 WRONG = [
-    (lambda: DDPG(1.1, 1.0), "loss.gamma is 1.1; it must lie in 0..1"),
-    (lambda: DDPG(0.9, 0.0), "loss.actor_rate is 0.0; it must be a positive number"),
+    (lambda: DDPG(1.1, 1.0, 0.0), "loss.gamma is 1.1; it must lie in 0..1"),
+    (lambda: DDPG(0.9, 0.0, 0.0), "loss.actor_rate is 0.0; it must be a positive number"),
+    (lambda: DDPG(0.9, 1.0, -0.1), "loss.saturation is -0.1; it must be a number of at least 0"),
     (lambda: TD3(0.9, 1.0, 0, 0.2, 0.5), "loss.policy_delay is 0; it must be at least 1"),
     (lambda: TD3(0.9, 1.0, 2, -0.2, 0.5), "loss.policy_noise is -0.2; it must be a number of at least 0"),
     (lambda: sac(0.0), "loss.alpha is 0.0; it must be a positive number"),
