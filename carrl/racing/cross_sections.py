@@ -46,25 +46,37 @@ class CrossSections:
         stations: along the centreline, [N], m.
         left: where each meets the left wall, [N, 2], m.
         right: where it meets the right wall, [N, 2], m.
+        behind: the left and the right wall a little before the line, [N, 2, 2], m.
+        ahead: likewise after it.
+        reach: how far that is along the centreline, m.
         track_length: of the centreline, m.
     """
 
     stations: Floats
     left: Floats
     right: Floats
+    behind: Floats
+    ahead: Floats
+    reach: float
     track_length: float
 
     @staticmethod
-    def of(track: "Track", spacing: float) -> "CrossSections":
-        """Those of a track, at most so far apart, m."""
+    def of(track: "Track", spacing: float, reach: float) -> "CrossSections":
+        """Those of a track, at most `spacing` apart, m, with the walls known up to `reach` from each, m."""
         road = track.road.double().numpy()
         steps = np.linalg.norm(np.roll(road[:, 0], -1, axis=0) - road[:, 0], axis=1)
         ends = np.append(0, steps.cumsum())
-        count = max(8, math.ceil(ends[-1] / spacing))
-        stations = np.arange(count) * ends[-1] / count
-        closed = np.concatenate([road, road[:1]]).reshape(len(road) + 1, 6)
-        points = np.stack([np.interp(stations, ends, column) for column in closed.T], axis=1).reshape(count, 3, 2)
-        return CrossSections(stations, points[:, 1], points[:, 2], float(ends[-1]))
+        length = float(ends[-1])
+        count = max(8, math.ceil(length / spacing))
+        stations = np.arange(count) * length / count
+        columns = np.concatenate([road, road[:1]]).reshape(len(road) + 1, 6).T
+
+        def walls_at(places: Floats) -> Floats:
+            points = np.stack([np.interp(places % length, ends, column) for column in columns], axis=1)
+            return points.reshape(count, 3, 2)[:, 1:]
+
+        here, behind, ahead = (walls_at(stations + away) for away in (0.0, -reach, reach))
+        return CrossSections(stations, here[:, 0], here[:, 1], behind, ahead, reach, length)
 
     @property
     def spacing(self) -> float:
@@ -109,22 +121,17 @@ class CrossSections:
         after[4, -1] += self.turn
         return after
 
-    def walls(self, reach: float) -> tuple[WallFrames, WallFrames]:
-        """The left and the right wall, as parabolas that fit them as far as `reach` ahead and behind, m."""
-        stride = max(1, round(reach / self.spacing))
-        return _frames(self.left, -1.0, stride, 1 / reach), _frames(self.right, 1.0, stride, 1 / reach)
+    def walls(self) -> tuple[WallFrames, WallFrames]:
+        """The left and the right wall as parabolas through where they are behind, here and ahead."""
+        return self._frames(self.left, 0, -1.0), self._frames(self.right, 1, 1.0)
 
-
-def _frames(points: Floats, side: float, stride: int, sharpest: float) -> WallFrames:
-    """By the points so many stations ahead and behind.
-
-    `side` is 1 where the road is to the left of the wall; the tip of a fold is taken for no sharper than `sharpest`.
-    """
-    before, after = points - np.roll(points, stride, axis=0), np.roll(points, -stride, axis=0) - points
-    chord = before + after
-    length, first, second = (np.linalg.norm(each, axis=1).clip(1e-9) for each in (chord, before, after))
-    along = chord / length[:, None]
-    inward = side * np.stack([-along[:, 1], along[:, 0]], axis=1)
-    area = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    bend = side * 2 * area / (first * second * length).clip(1e-9)
-    return WallFrames(points, along, inward, bend.clip(-sharpest, sharpest))
+    def _frames(self, points: Floats, wall: int, side: float) -> WallFrames:
+        """`side` is 1 where the road is to the left of the wall; the tip of a fold is taken for round."""
+        before, after = points - self.behind[:, wall], self.ahead[:, wall] - points
+        chord = before + after
+        length, first, second = (np.linalg.norm(each, axis=1).clip(1e-9) for each in (chord, before, after))
+        along = chord / length[:, None]
+        inward = side * np.stack([-along[:, 1], along[:, 0]], axis=1)
+        area = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+        bend = side * 2 * area / (first * second * length).clip(1e-9)
+        return WallFrames(points, along, inward, bend.clip(-1 / self.reach, 1 / self.reach))

@@ -144,7 +144,7 @@ def sections_of(track: "Track", car: SingleTrack, spacing: float | None, margin:
         raise ConfigError(f"--spacing is {wanted:g}; it must be more than 0 and at most {track.length / 8:.3g} m here")
     if not margin >= 0:
         raise ConfigError(f"--margin is {margin:g}; it must be 0 or more")
-    sections = CrossSections.of(track, wanted)
+    sections = CrossSections.of(track, wanted, car.length / 2)
     least = float(sections.width.min())
     if least <= car.width + 2 * margin:
         raise TrackError(

@@ -167,8 +167,7 @@ class LapProblem:
         room = ca.Function(
             "room", [state, section, *walls], [ca.vertcat(*self._room(self._motion(state, section), walls))]
         )
-        frames = self.sections.walls(reach=self.model.car.length / 2)
-        return room.map(count)(states, self.sections.columns, *(frame.columns for frame in frames))
+        return room.map(count)(states, self.sections.columns, *(wall.columns for wall in self.sections.walls()))
 
     def _motion(self, state: Any, section: Any) -> list[Any]:
         """x, y, heading and the rest, of a scaled state at a section."""
