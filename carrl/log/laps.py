@@ -49,14 +49,13 @@ def recorded_laps(trace: EpisodeTrace) -> list[RecordedLap]:
 
 def _crossing_time(trace: EpisodeTrace, line: Floats, row: int) -> float | None:
     """When a step crosses the line, since the first step, s."""
-    begin, end = trace.poses[row, :2], trace.poses[row + 1, :2]
-    with np.errstate(invalid="ignore"):  # a log may say that a car was nowhere
+    begin, end, speeds = trace.poses[row, :2], trace.poses[row + 1, :2], trace.state("speed")
+    with np.errstate(invalid="ignore", over="ignore"):  # a log may say that a car was nowhere
         share = crossing_shares(line, begin, end)
-    if np.isnan(share):
+        if speeds is not None:
+            share = time_shares(share, speeds[row], speeds[row + 1])
+    if not np.isfinite(share):
         return None
-    speeds = trace.state("speed")
-    if speeds is not None:
-        share = time_shares(share, speeds[row], speeds[row + 1])
     return float(trace.times[row] - trace.times[0] + share * trace.scene.time_step)
 
 
