@@ -269,8 +269,7 @@ class Simulator:
             collided = ~(path_clearance(begin, end, walls) >= body.radius)  # also where it is nan
         else:
             touches = corners_beyond if body.by_corners else rectangle_touches
-            heading, finite = state[:, 2].double(), end.isfinite().all(dim=-1)
-            collided = touches(begin, end, heading, body.half_size, walls) | ~finite
+            collided = touches(begin, end, state[:, 2].double(), body.half_size, walls) | ~end.isfinite().all(dim=-1)
         passed = torch.where(collided, 0, self._count_gates(begin, end, cars))
         next_gate = (cars.next_gate + passed) % self.gate_counts[cars.track]
         after = CarState(state, next_gate, cars.gates_passed + passed, cars.track)
