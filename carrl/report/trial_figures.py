@@ -55,7 +55,7 @@ def draw_trials(path: Path, groups: Sequence[Group]) -> bool:
     left.set_ylim(-0.02, 1.04)
     left.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
     name_axes(left, "frames (env steps)", "laps completed, of all drives")
-    right.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    right.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
     speeds = [run.trials.has_speed for own in runs.values() for run in own]
     name_axes(right, "frames (env steps)", "mean speed of all drives, m/s" if all(speeds) else "reward of a drive")
     right.set_title("thin: each run; thick: interquartile mean, 95 % band", fontsize=7.5, color=FAINT, loc="right")
