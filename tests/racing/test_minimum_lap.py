@@ -43,12 +43,12 @@ def test_half_the_grid_finds_the_same_time_and_so_do_other_starts():
     finer = minimum_lap(track, car, SPACING / 2, coarser=lap)
     assert finer.lap_time == pytest.approx(lap.lap_time, rel=1e-3)
     for start in STARTS[1:]:
-        assert minimum_lap(track, car, SPACING, start=start).lap_time == pytest.approx(lap.lap_time, rel=1e-5)
+        assert minimum_lap(track, car, SPACING, start=start).lap_time == pytest.approx(lap.lap_time, rel=1e-4)
 
 
 def test_the_mirror_image_of_a_road_takes_the_same_time_and_the_opposite_steering():
     mirrored = minimum_lap(Track.load("oval").mirrored(), SingleTrack(), SPACING)
-    assert mirrored.lap_time == pytest.approx(oval_lap().lap_time, rel=1e-5)
+    assert mirrored.lap_time == pytest.approx(oval_lap().lap_time, rel=1e-4)
     assert mirrored.line.steering == pytest.approx(-oval_lap().line.steering, abs=2e-3)
 
 
