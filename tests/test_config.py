@@ -91,7 +91,7 @@ def test_double_dqn_differs_from_dqn_by_the_loss_alone():
     [
         (
             {"max_rang": 3.0},
-            "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout, mount",
+            "sensor has no key 'max_rang'; Sensor takes rays, field_of_view, max_range, noise, dropout, mount, turn",
         ),
         ({"rays": "many"}, "sensor.rays is 'many'; it must be of type int"),
         ({"rays": 7.0}, "sensor.rays is 7.0; it must be of type int; write 7"),

@@ -23,7 +23,10 @@ _READING = ("--scale", "--width", "--walls", "--circuit", "--direction")
 FLAGS = {
     "train": overrides.FLAGS,
     "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--config-dir", "--storage"),
-    "evaluate": ("--track", "--starts", "--laps", "--policy", "--checkpoint", "--trust", "--json"),
+    "evaluate": (
+        *("--track", "--starts", "--laps", "--limit", "--speed-trace"),
+        *("--policy", "--checkpoint", "--trust", "--json"),
+    ),
     "drive": ("--track", "--run", "--vehicle", "--fps", "--trust"),
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
     "track list": ("--json",),

@@ -168,7 +168,7 @@ def test_a_wrong_search_space_is_named(entry):
     ("arguments", "message"),
     [
         (["experiment=fast"], "the configuration has no search"),
-        (["experiment=none"], "experiment has no option none; choose one of: brake, fast, generalist"),
+        (["experiment=none"], "experiment has no option none; choose one of: brake, f1tenth, fast, generalist"),
         (["experiment=tune", "--trials", "0"], "--trials is 0"),
         (["experiment=tune", "data=log", "data.path=x.mcap"], "only training in the simulator can be tuned"),
         (["experiment=tune", "~search", "+search={optimizer.rl:{choices:[1]}}"], "optimizer.rl"),
