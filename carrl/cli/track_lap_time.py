@@ -36,7 +36,7 @@ def add_lap_time_arguments(parser: argparse.ArgumentParser) -> None:
         "--spacing",
         type=float,
         metavar="M",
-        help="of the stations, m (default: 1.11 lengths of the car, and at least 800 stations)",
+        help="of the stations, m (default: 1.11 lengths of the car, and at least 1,000 stations)",
     )
     parser.add_argument("--margin", type=float, default=0.0, metavar="M", help="that the car keeps to the walls, m")
     parser.add_argument("--check", action="store_true", help="find it in other ways, too; exit code 1 if one differs")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from carrl.sim.vehicle import VehicleModel
     from carrl.tracks.track import Track
 
-SPACING, FEWEST = 1.11, 800
+SPACING, FEWEST = 1.11, 1000
 """Of the stations by default, in lengths of the car, 5 m for a car of 4.5 m; closer where that makes fewer of them."""
 STARTS = ("point mass", "middle", "right")
 """Guesses to begin with: the point mass's lap; one along the middle of the road, and one near its right wall, both of
