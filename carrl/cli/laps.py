@@ -16,6 +16,7 @@ from carrl.errors import CarrlError, printable
 
 if TYPE_CHECKING:
     from carrl.racing.laps import Lap
+    from carrl.tracks.track import Track
 
 WRITERS = {
     ".html": ("carrl.export.laps_page", "write_laps_page"),
@@ -39,8 +40,7 @@ def main(argv: list[str]) -> int:
     track = load_as_said(arguments)
     laps = read_laps(arguments.laps, track)
     for out in outs:
-        module, function = WRITERS[out.suffix.lower()]
-        getattr(importlib.import_module(module), function)(out, track, laps)
+        _write(out, track, laps)
     if arguments.json:
         print(json.dumps({"track": track.name, "length_m": track.length, "laps": _documents(laps)}, indent=2))
     else:
@@ -86,6 +86,18 @@ def _check(out: Path, sources: Sequence[str]) -> None:
         with suppress(OSError, ValueError):  # whoever opens them says what is wrong
             if out.samefile(source):
                 raise CarrlError(f"--out is '{out}', a lap that is to be read; choose another name")
+
+
+def _write(out: Path, track: "Track", laps: "Sequence[Lap]") -> None:
+    module, function = WRITERS[out.suffix.lower()]
+    write = getattr(importlib.import_module(module), function)
+    if function != "write_laps_video":
+        write(out, track, laps)
+        return
+    from carrl.cli.text.picture_progress import pictures_drawn
+
+    with pictures_drawn() as drawn:
+        write(out, track, laps, drawn)
 
 
 def _documents(laps: "Sequence[Lap]") -> list[dict[str, Any]]:

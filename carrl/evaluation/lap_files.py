@@ -77,6 +77,4 @@ def _laps_of(path: Path, name: str, track: Track) -> Iterator[Lap]:
     for driver, table in here.items():
         if len(table) < 3:
             raise ConfigError(f"{said}: the lap of {driver} has {len(table)} moments; it must have at least 3")
-        yield Lap.of(
-            name if len(here) == 1 else f"{name}: {driver}", track, table[:, 0], table[:, 1:4], table[:, 4]
-        )
+        yield Lap.of(name if len(here) == 1 else f"{name}: {driver}", track, table[:, 0], table[:, 1:4], table[:, 4])

@@ -73,12 +73,15 @@ class Lap:
         longest = float(np.linalg.norm(np.diff(between, axis=0), axis=1).max())
         stations, sides = stations_along(track, torch.from_numpy(poses), 0.0, longest)
         if np.abs(sides).max() > OFF_THE_ROAD:
-            raise TrackError(f"lap '{name}': it leaves the road of track '{track.name}'; name the track where it was driven")
+            raise TrackError(
+                f"lap '{name}': it leaves the road of track '{track.name}'; name the track where it was driven"
+            )
         station = np.unwrap(stations.astype(np.float64), period=track.length)
         station -= track.length * np.round(station[0] / track.length)
         if abs(station[0]) > 0.01 + speed[0] * np.diff(time).max():
             raise TrackError(
-                f"lap '{name}': it begins {station[0]:,.1f} m along the road of track '{track.name}', not at its start line"
+                f"lap '{name}': it begins {station[0]:,.1f} m along the road of track '{track.name}'; it must begin at "
+                "the start line"
             )
         return Lap(name, track.length, fine - _time_at_line(fine, station, speed), station, poses, speed)
 
@@ -110,6 +113,11 @@ class Lap:
         times, passed = self._passed
         return np.interp(stations, passed, times, right=np.nan)
 
+    def speed_at(self, stations: Floats) -> Floats:
+        """How fast the car came to each station first, [K], m/s; NaN beyond the last one."""
+        times = self.time_at(stations)
+        return np.where(np.isnan(times), np.nan, np.interp(times, self.time, self.speed))
+
     def gap_to(self, reference: "Lap", stations: Floats) -> Floats:
         """By how much it came later to each station than another lap, [K], s; NaN where one of them did not come."""
         return self.time_at(stations) - reference.time_at(stations)
@@ -122,7 +130,7 @@ class Lap:
 
     @cached_property
     def _passed(self) -> tuple[Floats, Floats]:
-        """Times and stations, both of which only grow, from the line on, and to it where less than a step is missing."""
+        """Times and stations, both of which only grow, from line to line, where less than a moment is missing."""
         furthest = np.maximum.accumulate(self.station)
         ahead = np.append(True, np.diff(furthest) > 0) & (self.station > 0)
         times, stations = np.append(0.0, self.time[ahead]), np.append(0.0, self.station[ahead])

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
+from carrl.errors import printable
 from carrl.racing.laps import Floats, Lap
 from carrl.render.canvas import Canvas, Stroke, View
 from carrl.render.colours import FAINT, INK, LAPS
@@ -68,37 +69,35 @@ def _draw_maps(figure: Figure | SubFigure, ground: Ground, laps: Sequence[Lap], 
 
 
 def _title(lap: Lap) -> str:
-    name = lap.name if len(lap.name) <= 40 else f"{lap.name[:39]}…"
     time = f"ended at {lap.end[0]:,.0f} m" if lap.lap_time is None else f"{lap.lap_time:.2f} s"
-    return f"{name}, {time}{', from rest' if lap.is_standing else ''}"
+    return f"{_short(lap.name, 30)}, {time}{', from rest' if lap.is_standing else ''}"
+
+
+def _short(name: str, most: int) -> str:
+    """The name, or as much of its beginning as so many characters hold."""
+    name = printable(name)
+    return name if len(name) <= most else f"{name[: most - 1]}…"
 
 
 def _draw_below(figure: Figure | SubFigure, ground: Ground, laps: Sequence[Lap]) -> None:
     """Charts, and beside them, if there are several laps, the close-up."""
     stations = np.linspace(0, laps[0].length, POINTS)
     if len(laps) == 1:
-        _draw_chart(figure.subplots(), laps, stations, [_speeds(laps[0], stations)], "speed, m/s", "distance, m")
+        _draw_chart(figure.subplots(), laps, stations, [laps[0].speed_at(stations)], "speed, m/s", "distance, m")
         return
     grid = figure.subplot_mosaic(
         [["place", "speed"], ["place", "gap"]], width_ratios=[_CLOSE_UP, 1 - _CLOSE_UP], height_ratios=[1, 1]
     )
     gaps = [lap.gap_to(laps[0], stations) for lap in laps]
-    _draw_chart(grid["speed"], laps, stations, [_speeds(lap, stations) for lap in laps], "speed, m/s")
+    _draw_chart(grid["speed"], laps, stations, [lap.speed_at(stations) for lap in laps], "speed, m/s")
     grid["speed"].tick_params(labelbottom=False)
     grid["speed"].set_ylim(bottom=0)
     _draw_chart(grid["gap"], laps, stations, gaps, "gap, s", "distance along the road, m")
     grid["gap"].annotate("up: behind", (0.01, 0.9), xycoords="axes fraction", fontsize=7, color=FAINT)
-    begin, end = _costliest(stations, gaps[1:])
+    begin, end = _costliest(stations, gaps[1])
     for name in ("speed", "gap"):
         grid[name].axvspan(begin, end, color="#000000", alpha=0.07, linewidth=0)
     _draw_close_up(grid["place"], ground, laps, begin, end)
-
-
-def _speeds(lap: Lap, stations: Floats) -> Floats:
-    """At each station, [K], m/s; NaN beyond the end."""
-    times = lap.time_at(stations)
-    speeds = lap.at(np.nan_to_num(times))[2]
-    return np.where(np.isnan(times), np.nan, speeds)
 
 
 def _draw_chart(
@@ -112,10 +111,10 @@ def _draw_chart(
     axes.set_xlabel(below, fontsize=8, color=INK)
 
 
-def _costliest(stations: Floats, gaps: Sequence[Floats]) -> tuple[float, float]:
-    """Where the stretch of `WINDOW` begins and ends in which one of the laps loses most to the reference."""
+def _costliest(stations: Floats, gaps: Floats) -> tuple[float, float]:
+    """Where the stretch of `WINDOW` begins and ends in which a lap loses most to the reference, or gains least."""
     width = max(1, round(WINDOW * len(stations)))
-    lost = np.nan_to_num(np.stack([gap[width:] - gap[:-width] for gap in gaps]), nan=-np.inf).max(axis=0)
+    lost = np.nan_to_num(gaps[width:] - gaps[:-width], nan=-np.inf)
     begin = int(lost.argmax())
     return float(stations[begin]), float(stations[begin + width])
 
@@ -130,7 +129,8 @@ def _draw_close_up(axes: Axes, ground: Ground, laps: Sequence[Lap], begin: float
     axes.set_aspect("equal", anchor="C")
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(color=FAINT, linewidth=0.8)
-    axes.set_title(f"most time is lost from {begin:,.0f} to {end:,.0f} m", fontsize=8, color=INK)
+    place = f"{begin:,.0f} to {end:,.0f} m"
+    axes.set_title(f"{_short(laps[1].name, 18)} loses most: {place}", fontsize=8, color=LAPS[1], parse_math=False)
 
     def draw(canvas: Canvas, view: View) -> None:
         with canvas.clipped(view.area):

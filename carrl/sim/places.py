@@ -135,10 +135,8 @@ class Places:
         return place
 
 
-def stations_along(
-    track: "Track", poses: Tensor, start: float, step_length: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where along a road each moment of a drive was: each is looked for near the one before, as a road may cross itself.
+def stations_along(track: "Track", poses: Tensor, start: float, step_length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where along a road each moment of a drive was, each near the one before, as a road may cross itself.
 
     Args:
         track: of the road.

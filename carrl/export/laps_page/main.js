@@ -17,6 +17,7 @@ function repaint() {
     speed: makeSpeedChart(race, byId("speed-chart"), colours),
     gap: makeGapChart(race, byId("gap-chart"), colours),
   };
+  byId("duration").textContent = `/ ${formatMeasured(race.steps * race.timeStep, 1)} s`;
   showTheme();
   player.redraw();
 }
@@ -65,7 +66,6 @@ byId("facts").textContent = [
   formatCount(race.laps.length, "lap"),
   "times and gaps in s",
 ].join(" · ");
-byId("duration").textContent = `/ ${formatMeasured(race.steps * race.timeStep, 1)} s`;
 byId("together").addEventListener("click", toggleTogether);
 document.addEventListener("keydown", (event) => {
   if (event.key.toLowerCase() === "d" && !event.ctrlKey && !event.metaKey && !event.altKey) toggleTogether();
