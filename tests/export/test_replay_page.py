@@ -20,52 +20,13 @@ from carrl.export.page import replay_page, write_replay_page
 from carrl.log.laps import RecordedLap
 from carrl.log.trace import EpisodeTrace
 from carrl.render.colours import LIGHT
-
-sync_api = pytest.importorskip(
-    "playwright.sync_api", reason="driving a browser needs playwright; pip install playwright"
-)
+from tests.export.browsing import Tabs, browser, tabs  # noqa: F401 (fixtures)
 
 MINUS, DASH = "\N{MINUS SIGN}", "\N{EN DASH}"
 CAR, VERMILLION, BLUE, GREEN = "#f0e442", "#d55e00", "#0072b2", "#009e73"
 ROAD, WALL, GROUND, BLACK = "#dfe2e4", "#59646b", "#ffffff", "#000000"
 DARK_ROAD, DARK_GROUND = "#333d44", "#191f23"
 DESKTOP, TABLET, PHONE = (1200, 760), (768, 1024), (360, 740)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no Chromium is installed; on Debian: apt install chromium")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-class Tabs:
-    """Opens tabs and hears what their pages complain of, and which addresses they ask for."""
-
-    def __init__(self, browser: Any) -> None:
-        self.browser, self.complaints = browser, []
-        self.shared = self.open()  # by most tests: to open a tab takes longer than most of them
-
-    def open(self, **options: Any) -> Any:
-        page = self.browser.new_page(**options)
-        page.set_default_timeout(20_000)
-        page.on("console", lambda message: self.complaints.append(message.text))
-        page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        page.on("request", lambda request: self._check_address(request.url))
-        return page
-
-    def _check_address(self, url: str) -> None:
-        if not url.startswith(("file:", "data:")):
-            self.complaints.append(url)
-
-
-@pytest.fixture(scope="module")
-def tabs(browser: Any) -> Tabs:
-    return Tabs(browser)
 
 
 @pytest.fixture
