@@ -69,9 +69,13 @@ def _laps_of(path: Path, name: str, track: Track) -> Iterator[Lap]:
             "lap-time --csv"
         )
     driven = read_speed_table(text, said)
-    here = {driver: table for (driver, where, start), table in driven.items() if where == track.name and start == 0}
+    here = {
+        driver: table
+        for (driver, where, start), table in driven.items()
+        if Path(where).stem == Path(track.name).stem and start == 0
+    }
     if not here:
-        others = sorted({where for _, where, _ in driven} - {track.name})
+        others = sorted({where for _, where, _ in driven if Path(where).stem != Path(track.name).stem})
         there = f"; its laps are of {', '.join(others)}" if others else ""
         raise ConfigError(f"{said}: it has no lap of track '{track.name}' from its start line on{there}")
     for driver, table in here.items():

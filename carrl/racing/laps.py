@@ -9,6 +9,7 @@ Shapes: `M` moments, `K` any stations or times.
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -122,7 +123,7 @@ class Lap:
         """By how much it came later to each station than another lap, [K], s; NaN where one of them did not come."""
         return self.time_at(stations) - reference.time_at(stations)
 
-    def at(self, times: Floats) -> tuple[Floats, Floats, Floats]:
+    def at(self, times: NDArray[np.floating[Any]]) -> tuple[Floats, Floats, Floats]:
         """Poses [K, 3], stations [K] and speeds [K] at these times; after the end those of the end."""
         times = np.clip(times, 0, self.end[1])
         poses = np.column_stack([np.interp(times, self.time, column) for column in self.poses.T])

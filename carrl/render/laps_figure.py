@@ -49,7 +49,7 @@ def draw_laps(path: str | Path, track: Track, laps: Sequence[Lap]) -> None:
     rows = -(-len(laps) // columns)
     map_height = rows * (min(max(ratio, 0.2), 1.4) * WIDTH / columns + 0.25) + _BAR
     figure = new_figure(map_height + _CHARTS)
-    above, below = figure.subfigures(2, 1, height_ratios=[map_height, _CHARTS])
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[map_height, _CHARTS]).flatten()
     _draw_maps(above, ground, laps, above.subplots(rows, columns, squeeze=False).flatten().tolist())
     _draw_below(below, ground, laps)
     save_figure(figure, path)

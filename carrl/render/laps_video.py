@@ -100,7 +100,7 @@ class _Chart:
         area = self.area
         canvas.text((area.left, area.top - 9), self.name, 15, FAINT)
         for value in round_ticks(self.low, self.high, 3):
-            y = self._y(np.array([value]))[0]
+            y = float(self._y(value))
             canvas.line([(area.left, y), (area.right, y)], Stroke(RULE, 1))
             canvas.text((area.left - 8, y + 5), f"{value:g}", 14, FAINT, anchor="rs")
         for line, colour in zip(self.lines, LAPS, strict=False):
@@ -110,7 +110,7 @@ class _Chart:
         """Draws the lines as far as the cars have come."""
         for line, colour, car in reversed(list(zip(self.lines, LAPS, cars, strict=False))):
             self._draw_line(canvas, line, colour, 2.5, car.station)
-            here = np.interp(car.station, self.stations, line)
+            here = float(np.interp(car.station, self.stations, line))
             if not np.isnan(here):
                 canvas.disc((self._x(car.station), self._y(here)), 5, colour, Stroke(PAPER, 1.5))
 
@@ -122,7 +122,7 @@ class _Chart:
     def _x(self, stations: Floats | float) -> Floats:
         return np.asarray(self.area.left + self.area.width * stations / self.stations[-1])
 
-    def _y(self, values: Floats) -> Floats:
+    def _y(self, values: Floats | float) -> Floats:
         return np.asarray(self.area.bottom - self.area.height * (values - self.low) / (self.high - self.low))
 
 

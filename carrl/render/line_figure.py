@@ -90,7 +90,7 @@ def draw_scale(axes: Axes, ground: Ground) -> None:
     """Draws a bar of a round number of metres below a map."""
     left, bottom, right, _ = ground.bounds
     metres = round_number((right - left) / 12)
-    begin = left, bottom - _margin(ground) / 2
+    begin = left, bottom - 0.9 * _margin(ground)
     axes.plot([begin[0], begin[0] + metres], [begin[1], begin[1]], color=INK, linewidth=1)
     axes.annotate(
         f"{metres:,g} m", (begin[0] + metres, begin[1]), (4, 0), textcoords="offset points", fontsize=7, va="center"

@@ -47,7 +47,7 @@ def test_several_drivers_of_a_file_are_told_apart_and_only_the_start_line_counts
     path.write_text(path.read_text() + other.read_text().partition("\n")[2])
     laps = read_laps([path], road)
     assert [lap.name for lap in laps] == ["ten: seed 0", "ten: seed 1"]
-    with pytest.raises(CarrlError, match="it has no lap of track 'ring' from its start line on$"):
+    with pytest.raises(CarrlError, match=r"it has no lap of track 'ring' from its start line on$"):
         read_laps([other], road)
 
 

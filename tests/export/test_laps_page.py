@@ -100,7 +100,7 @@ def test_it_plays_to_the_end_of_the_slowest_lap(open_page):
     page = open_page(link="#step=300")
     page.keyboard.press("Space")
     page.wait_for_function("() => !window.carrl.playing && window.carrl.time > 15")
-    fast, slow, part = state(page, "cars")
+    fast, slow, _ = state(page, "cars")
     assert fast["station"] == pytest.approx(slow["station"], abs=0.05)
     assert slow["gap"] == pytest.approx(slow["station"] / 16 - slow["station"] / 20, abs=5e-3)
 

@@ -3,7 +3,6 @@
 import io
 import itertools
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -30,7 +29,7 @@ DESKTOP, TABLET, PHONE = (1200, 760), (768, 1024), (360, 740)
 
 
 @pytest.fixture
-def open_page(tabs: Tabs, trace: EpisodeTrace, tmp_path: Path) -> Iterator[Callable[..., Any]]:
+def open_page(tabs: Tabs, trace: EpisodeTrace, tmp_path: Path) -> Iterator[Callable[..., Any]]:  # noqa: F811
     """Opens the page of an episode as a file; the test fails if it reports an error or asks for an address."""
     own, numbers = [], itertools.count()
 

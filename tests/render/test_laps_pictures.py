@@ -57,5 +57,5 @@ def test_a_video_lasts_as_long_as_the_slowest_lap(tmp_path, laps):
 
 
 def test_a_video_of_another_ending_is_refused(tmp_path, laps):
-    with pytest.raises(CarrlError, match="it must end in .mp4 or .gif"):
+    with pytest.raises(CarrlError, match=r"it must end in \.mp4 or \.gif"):
         write_laps_video(tmp_path / "laps.avi", ring(), laps)
