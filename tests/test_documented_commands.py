@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from carrl.cli.main import main
+from carrl.tracks.track import Track
+from tests.driven_laps import steady, write_trace
 
 PAGES = [Path("README.md"), *sorted(Path("docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(?:console|sh|bash)\n(.*?)^```", re.M | re.S)
@@ -73,6 +75,9 @@ def workplace(made, tmp_path, monkeypatch):
     for name in ("FILE.csv", "FOLDER/FILE.csv", "mine/a.csv", "with, comma.csv", "tight12/a.csv", "hard/a.csv"):
         Path(name).parent.mkdir(exist_ok=True)
         shutil.copy(made / "track.csv", name)
+    for name, speed in (("today.csv", 400.0), ("yesterday.csv", 300.0)):
+        track = Track.load("FILE.csv")
+        write_trace(tmp_path / name, track, steady(track, speed, step=0.01))
     for name in ("map.yaml", "map.png"):
         shutil.copy(made / name, name)
     for folder in ("acute", "docs/images"):

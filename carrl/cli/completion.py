@@ -27,6 +27,7 @@ FLAGS = {
         *("--track", "--starts", "--laps", "--limit", "--speed-trace"),
         *("--policy", "--checkpoint", "--trust", "--json"),
     ),
+    "laps": (*_READING, "--out", "--json"),
     "drive": ("--track", "--run", "--vehicle", "--fps", "--trust"),
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
     "track list": ("--json",),

@@ -12,6 +12,7 @@ VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
     "tune": "search for the settings that do best (carrl tune experiment=tune --trials 20)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
+    "laps": "compare laps of a track: a replay against each other, and the gap over the way",
     "drive": "drive a track yourself, with the keyboard",
     "report": "compare runs: tables, figures, and which differences are significant",
     "log": "look into a run's MCAP log",

@@ -108,6 +108,8 @@ DARK = Theme(
     speeds=("#8f5bd6", "#d8569f", "#ff7f5e", "#ffc46b", "#fff6c0"),
 )
 """On screens and in viewers: forward is white, left vermillion, right sky blue."""
+LAPS = (BLUE, VERMILLION, GREEN, "#b8397f", "#8a6d00", INK)
+"""Of laps that are compared, on white."""
 INFO, WARNING, ERROR = DARK.faint, ORANGE, "#f0593e"
 """How bad an event is, on a dark background."""
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -80,16 +80,17 @@ def save_drawing(path: str | Path, size: tuple[float, float], draw: Callable[[Ca
     write_whole(path, file.getvalue())
 
 
-def add_drawing(figure: Figure, axes: Axes, draw: Callable[[Canvas, View], None]) -> None:
+def add_drawing(axes: Axes, draw: Callable[[Canvas, View], None]) -> None:
     """Draws on axes in metres, of equal scales, below everything else there; the units are points."""
-    axes.add_artist(_Drawing(lambda canvas: draw(canvas, _view_of(figure, axes))))
+    axes.add_artist(_Drawing(lambda canvas: draw(canvas, _view_of(axes))))
 
 
-def _view_of(figure: Figure, axes: Axes) -> View:
+def _view_of(axes: Axes) -> View:
     """What axes show, in points of their figure."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    box, (width, height) = axes.get_position(), 72 * figure.get_size_inches()
-    area = Area(box.x0 * width, (1 - box.y1) * height, box.width * width, box.height * height)
+    figure = cast(Figure, axes.get_figure(root=True))
+    box, points = axes.get_window_extent(), 72 / figure.dpi
+    area = Area(box.x0 * points, (figure.bbox.height - box.y1) * points, box.width * points, box.height * points)
     return View(area, np.array([left + right, bottom + top]) / 2, area.width / (right - left))
 
 

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from carrl.errors import CarrlError
 from carrl.render.canvas import Picture
-from carrl.render.colours import BLACK, BLUE, FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW, rgb
+from carrl.render.colours import BLACK, FAINT, INK, LAPS, LIGHT, PAPER, YELLOW, rgb
 
 BT709, LIMITED = 1, 1
 """H.264's numbers for the colours of high definition, and for brightness from 16 to 235."""
 OLD_TRAIL, RULE = "#a8a8a8", "#e0e0e0"
 """The line driven long ago, and thin lines between parts of a panel."""
-_FOREGROUNDS = (*(INK, FAINT, BLACK, BLUE, VERMILLION, GREEN, YELLOW), *(LIGHT.wall, OLD_TRAIL, LIGHT.centreline, RULE))
+_FOREGROUNDS = (*LAPS, *(FAINT, BLACK, YELLOW), *(LIGHT.wall, OLD_TRAIL, LIGHT.centreline, RULE))
 _SHADES = 8
 """Steps from a background to a colour on it: at an antialiased edge the two are mixed."""
 
@@ -62,6 +62,20 @@ MP4 = Encoding(
 )
 GIF = Encoding(ending=".gif", codec="gif", layout="pal8", width=640, height=360, rate=20)
 """A GIF's pictures last whole hundredths of a second, and many viewers slow down what is faster than 50 a second."""
+
+
+def encoding_for(path: Path) -> Encoding:
+    """How a video of this name is made.
+
+    Raises:
+        CarrlError: the name has another ending than .mp4 and .gif, or its folder is missing.
+    """
+    encoding = next((encoding for encoding in (MP4, GIF) if encoding.ending == path.suffix.lower()), None)
+    if encoding is None:
+        raise CarrlError(f"'{path}' is no name of a video; it must end in .mp4 or .gif")
+    if not path.parent.is_dir():
+        raise CarrlError(f"'{path}' cannot be written: there is no folder '{path.parent}'; make it first")
+    return encoding
 
 
 def encoded(encoding: Encoding, pictures: Iterable[Picture]) -> bytes:

@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
 
-from carrl.racing.reference_line import ReferenceLine
+from carrl.racing.reference_line import Floats, ReferenceLine
 from carrl.render import round_number
 from carrl.render.canvas import Canvas, View
 from carrl.render.colours import BLUE, FAINT, INK, LIGHT, VERMILLION
@@ -53,32 +54,52 @@ def draw_line_figure(path: str | Path, track: Track, line: ReferenceLine, title:
 
 
 def _draw_map(figure: Figure, axes: Axes, ground: Ground, line: ReferenceLine) -> None:
+    low, high = speed_span(line.speed)
+    high = max(high, low + 1e-6)
+    ways = np.stack([line.places, np.roll(line.places, -1, axis=0)], axis=1)
+    draw_speed_map(axes, ground, ways, speed_shades_of(line.speed, low, high))
+    draw_speed_bar(figure, axes, low, high)
+    draw_scale(axes, ground)
+
+
+def draw_speed_map(axes: Axes, ground: Ground, ways: Floats, shades: NDArray[np.int64]) -> None:
+    """Draws the road, and on it pieces of a line, [N, 2, 2], m, in these of the colours of speeds, [N]."""
     left, bottom, right, top = ground.bounds
-    margin = _MARGIN * max(right - left, top - bottom)
+    margin = _margin(ground)
     axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
     axes.set_axis_off()
     axes.set_aspect("equal", anchor="C")
-    low, high = speed_span(line.speed)
-    high = max(high, low + 1e-6)
-    pieces = np.stack([line.places, np.roll(line.places, -1, axis=0)], axis=1)
-    shades = speed_shades_of(line.speed, low, high)
 
     def draw(canvas: Canvas, view: View) -> None:
         draw_ground(canvas, view, ground, PRINT)
-        draw_line(canvas, view, pieces, shades, LIGHT.speed_shades, 1.6)
+        draw_line(canvas, view, ways, shades, LIGHT.speed_shades, 1.6)
 
-    add_drawing(figure, axes, draw)
+    add_drawing(axes, draw)
+
+
+def draw_speed_bar(figure: Figure | SubFigure, axes: Axes | list[Axes], low: float, high: float) -> None:
+    """Draws below the maps what their colours mean, from the least to the greatest speed, m/s."""
     colours = ScalarMappable(Normalize(low, high), ListedColormap(list(LIGHT.speed_shades)))
     bar = figure.colorbar(colours, ax=axes, orientation="horizontal", shrink=0.4, aspect=40, pad=0.02)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=7, colors=FAINT, labelcolor=INK, length=2)
     bar.set_label("speed, m/s", fontsize=8, color=INK)
+
+
+def draw_scale(axes: Axes, ground: Ground) -> None:
+    """Draws a bar of a round number of metres below a map."""
+    left, bottom, right, _ = ground.bounds
     metres = round_number((right - left) / 12)
-    begin = left, bottom - margin / 2
+    begin = left, bottom - 0.9 * _margin(ground)
     axes.plot([begin[0], begin[0] + metres], [begin[1], begin[1]], color=INK, linewidth=1)
     axes.annotate(
         f"{metres:,g} m", (begin[0] + metres, begin[1]), (4, 0), textcoords="offset points", fontsize=7, va="center"
     )
+
+
+def _margin(ground: Ground) -> float:
+    left, bottom, right, top = ground.bounds
+    return _MARGIN * max(right - left, top - bottom)
 
 
 def _draw_profile(axes: Axes, distance: np.ndarray, values: np.ndarray, label: str, colour: str) -> None:

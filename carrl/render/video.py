@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carrl.errors import CarrlError
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace, ray_origins
 from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Canvas, Floats, Picture, PixelCanvas, Stroke, View, fitted
 from carrl.render.car import draw_car, draw_rays, ray_ends
 from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
-from carrl.render.encoding import GIF, MP4, OLD_TRAIL, Encoding, encoded
+from carrl.render.encoding import OLD_TRAIL, Encoding, encoded, encoding_for
 from carrl.render.panel import HEIGHT, WIDTH, Panel
 from carrl.render.scene import (
     FILM,
@@ -70,12 +69,7 @@ def write_video(
     Raises:
         CarrlError: the name has another ending, PyAV is not installed, or the file cannot be written.
     """
-    path = Path(path)
-    encoding = next((encoding for encoding in (MP4, GIF) if encoding.ending == path.suffix.lower()), None)
-    if encoding is None:
-        raise CarrlError(f"'{path}' is no name of a video; it must end in .mp4 or .gif")
-    if not path.parent.is_dir():
-        raise CarrlError(f"'{path}' cannot be written: there is no folder '{path.parent}'; make it first")
+    encoding = encoding_for(Path(path))
     write_whole(path, encoded(encoding, _pictures(trace, title, encoding, progress)))
 
 

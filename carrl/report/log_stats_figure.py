@@ -138,7 +138,7 @@ def _draw_controls(axes: Axes, stats: LogStats, counts: NDArray[np.int64]) -> No
 
 def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
     """Dots where cars crashed, coloured by how many did so near there."""
-    _draw_track(figure, axes, stats.track)
+    _draw_track(axes, stats.track)
     off = f", {stats.off_the_map:,} off the map" * (stats.off_the_map > 0)
     _title(axes, f"{len(stats.crashes):,} crashes on {stats.track_note}{off}")
     if not len(stats.crash_places):
@@ -161,7 +161,7 @@ def _draw_crashes(figure: Figure, axes: Axes, stats: LogStats) -> None:
     bar.set_label(f"crashes in the same square of {side:g} m", fontsize=7.5, color=INK)
 
 
-def _draw_track(figure: Figure, axes: Axes, track: TrackShape) -> None:
+def _draw_track(axes: Axes, track: TrackShape) -> None:
     """The road, its walls, its numbered gates and the start line."""
     ground = Ground.of(track)
     left, bottom, right, top = ground.bounds
@@ -174,4 +174,4 @@ def _draw_track(figure: Figure, axes: Axes, track: TrackShape) -> None:
         draw_ground(canvas, view, ground, PRINT)
         number_gates(canvas, view, ground.gates, 7, MOST_GATE_NUMBERS, FAINT)
 
-    add_drawing(figure, axes, draw)
+    add_drawing(axes, draw)

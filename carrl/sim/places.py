@@ -10,7 +10,7 @@ radians counter-clockwise from +x.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -18,6 +18,9 @@ from torch import Tensor
 
 from carrl.rows import Rows
 from carrl.sim.machine_code import as_array, compiled
+
+if TYPE_CHECKING:
+    from carrl.tracks.track import Track
 
 _LEAST_STRETCH = 1.0
 """Between two places ahead, m: that of a curvature is a mean over so much of the road at least."""
@@ -130,6 +133,28 @@ class Places:
         if progress is not None:
             place.progress = torch.full_like(place.progress, progress)
         return place
+
+
+def stations_along(track: "Track", poses: Tensor, start: float, step_length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where along a road each moment of a drive was, each near the one before, as a road may cross itself.
+
+    Args:
+        track: of the road.
+        poses: [T, 3], m, m, rad.
+        start: station near the first of them, m.
+        step_length: the longest way between two of them, m.
+
+    Returns:
+        Stations, [T], float32, m, in [0, length), and sides as in `Place`, [T], float32.
+    """
+    places, only = Places([track.road], [track.gate_count], step_length), torch.zeros(1, dtype=torch.int64)
+    place = places.on_the_way(poses[:1], only, track.next_gate(torch.tensor([start])))
+    stations, sides = [], []
+    for pose in poses:
+        place = places.after(pose[None], only, place.station)
+        stations.append(place.station)
+        sides.append(place.side)
+    return torch.cat(stations).numpy(), torch.cat(sides).numpy()
 
 
 def _road(road: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, float]:

@@ -12,6 +12,7 @@ from carrl import Track
 from carrl.errors import ConfigError
 from carrl.evaluation.baselines import rule_of, rule_policy
 from carrl.evaluation.document import checked_limits, lap_figures
+from carrl.evaluation.lap_files import read_laps
 from carrl.evaluation.lap_timing import LapTiming
 from carrl.evaluation.results import EvaluationResult, aggregate
 from carrl.evaluation.rollout import _grip, rollout, rollout_laps
@@ -244,6 +245,17 @@ def test_the_speed_trace_has_a_row_for_each_moment_of_the_lap(pedals):
     ways = np.diff(figures[:, 2]) % world.track.length  # a lap along the centreline, over the start line once
     assert ways.sum() == pytest.approx(world.track.length, abs=ways.max())
     assert ways.max() < 2 * figures[:, 6].max() * 0.1
+
+
+def test_a_speed_trace_that_is_read_again_has_the_lap_time_that_was_measured(pedals, tmp_path):
+    world, policy = pedals
+    for laps in (1, 2):
+        (driven,) = rollout_laps(world, world.simulator(world.track), policy, laps=laps)
+        path = tmp_path / f"{laps}.csv"
+        path.write_text(speed_table([TracedDrive("rule", world.track, driven)], world.vehicle))
+        (lap,) = read_laps([path], world.track)
+        assert lap.lap_time == pytest.approx(sum(driven.sector_times[-1]), abs=0.01)
+        assert lap.is_standing == (laps == 1)
 
 
 def test_the_trace_of_a_car_of_one_speed_has_that():

@@ -3,7 +3,6 @@
 import io
 import itertools
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -20,10 +19,7 @@ from carrl.export.page import replay_page, write_replay_page
 from carrl.log.laps import RecordedLap
 from carrl.log.trace import EpisodeTrace
 from carrl.render.colours import LIGHT
-
-sync_api = pytest.importorskip(
-    "playwright.sync_api", reason="driving a browser needs playwright; pip install playwright"
-)
+from tests.export.browsing import Tabs, browser, tabs  # noqa: F401 (fixtures)
 
 MINUS, DASH = "\N{MINUS SIGN}", "\N{EN DASH}"
 CAR, VERMILLION, BLUE, GREEN = "#f0e442", "#d55e00", "#0072b2", "#009e73"
@@ -32,44 +28,8 @@ DARK_ROAD, DARK_GROUND = "#333d44", "#191f23"
 DESKTOP, TABLET, PHONE = (1200, 760), (768, 1024), (360, 740)
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no Chromium is installed; on Debian: apt install chromium")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-class Tabs:
-    """Opens tabs and hears what their pages complain of, and which addresses they ask for."""
-
-    def __init__(self, browser: Any) -> None:
-        self.browser, self.complaints = browser, []
-        self.shared = self.open()  # by most tests: to open a tab takes longer than most of them
-
-    def open(self, **options: Any) -> Any:
-        page = self.browser.new_page(**options)
-        page.set_default_timeout(20_000)
-        page.on("console", lambda message: self.complaints.append(message.text))
-        page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        page.on("request", lambda request: self._check_address(request.url))
-        return page
-
-    def _check_address(self, url: str) -> None:
-        if not url.startswith(("file:", "data:")):
-            self.complaints.append(url)
-
-
-@pytest.fixture(scope="module")
-def tabs(browser: Any) -> Tabs:
-    return Tabs(browser)
-
-
 @pytest.fixture
-def open_page(tabs: Tabs, trace: EpisodeTrace, tmp_path: Path) -> Iterator[Callable[..., Any]]:
+def open_page(tabs: Tabs, trace: EpisodeTrace, tmp_path: Path) -> Iterator[Callable[..., Any]]:  # noqa: F811
     """Opens the page of an episode as a file; the test fails if it reports an error or asks for an address."""
     own, numbers = [], itertools.count()
 

@@ -17,6 +17,7 @@ from carrl.cli.log.shared import (
     counted,
     selection_of,
 )
+from carrl.cli.text.picture_progress import pictures_drawn
 from carrl.errors import CarrlError, printable
 from carrl.export import tables
 from carrl.log.reader import Log
@@ -111,13 +112,8 @@ def _write(path: Path, log: Log, trace: EpisodeTrace) -> None:
     if function != "write_video":
         write(path, trace, title)
         return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)  # drawing takes its time
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("pictures", total=None)
-        write(path, trace, title, lambda done, of: progress.update(task, completed=done, total=of))
+    with pictures_drawn() as drawn:  # drawing takes its time
+        write(path, trace, title, drawn)
 
 
 def _folder_beside(source: Path) -> Path:

@@ -10,6 +10,7 @@ import html
 import json
 import re
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -33,6 +34,7 @@ SCRIPTS = (
     "brush.js",
     "camera.js",
     "road.js",
+    "unpack.js",
     "episode.js",
     "car.js",
     "stage.js",
@@ -57,15 +59,31 @@ def replay_page(trace: EpisodeTrace, title: str) -> str:
         trace: what to replay.
         title: the page's heading.
     """
-    code = "\n".join(_shortened(_part(name)) for name in SCRIPTS)
+    scripts = [PARTS / name for name in SCRIPTS]
+    return assembled(PARTS / "page.html", [PARTS / "page.css"], scripts, title, _episode(trace))
+
+
+def assembled(
+    page: Path, styles: Sequence[Path], scripts: Sequence[Path], title: str, document: Mapping[str, Any]
+) -> str:
+    """A page of its parts, with what its script is to read in it.
+
+    Args:
+        page: the HTML with a place for each of the others.
+        styles: style sheets, in their order.
+        scripts: joined to one script, in their order.
+        title: the page's heading, shown as text.
+        document: what the script reads; arrays are to be `packed`.
+    """
+    code = "\n".join(_shortened(part) for part in scripts)
     script = f'\n"use strict";\n(async () => {{\n{code}}})();\n'
-    style = "\n" + _shortened(_part("page.css"))
-    return Template(_part("page.html")).substitute(
+    style = "\n" + "\n".join(_shortened(part) for part in styles)
+    return Template(page.read_text(encoding="utf-8")).substitute(
         policy=_policy(script, style),
         title=html.escape(title).encode("ascii", "xmlcharrefreplace").decode(),
         style=style,
         script=script,
-        episode=_json_in_html(_episode(trace)),
+        document=_json_in_html(document),
     )
 
 
@@ -78,13 +96,9 @@ def write_replay_page(path: str | Path, trace: EpisodeTrace, title: str) -> None
     write_whole(path, replay_page(trace, title).encode())
 
 
-def _part(name: str) -> str:
-    return (PARTS / name).read_text(encoding="utf-8")
-
-
-def _shortened(code: str) -> str:
-    """The same code without indentation and without the lines that are comments."""
-    return re.sub(r"^ *(//.*\n)?", "", code, flags=re.MULTILINE)
+def _shortened(part: Path) -> str:
+    """The code of a file without indentation and without the lines that are comments."""
+    return re.sub(r"^ *(//.*\n)?", "", part.read_text(encoding="utf-8"), flags=re.MULTILINE)
 
 
 def _policy(script: str, style: str) -> str:
@@ -104,7 +118,7 @@ def _policy(script: str, style: str) -> str:
     return "; ".join(f"{directive} {sources}" for directive, sources in rules.items())
 
 
-def _json_in_html(document: dict[str, Any]) -> str:
+def _json_in_html(document: Mapping[str, Any]) -> str:
     """JSON in which no character can end the element it stands in, or begin another."""
     text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
@@ -145,19 +159,19 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
         "passings": trace.passings,  # row of the step, index of the gate
         "laps": [[lap.row, round(lap.seconds, 3), lap.counts] for lap in recorded_laps(trace)],
         "arrays": {
-            "wallPoints": _packed(np.concatenate(lines), "<f4"),  # [N, 2]
-            "centreline": _packed(track.centreline, "<f4"),  # [P, 2]
-            "gates": _packed(track.gates, "<f4"),  # [G, 2, 2]
-            "stepNumbers": _packed(steps_of(trace), "<i4"),  # [T + 1]
-            "poses": _packed(trace.poses, "<f4"),  # [T + 1, 3]
-            "ranges": _packed(trace.ranges, "<f4"),  # [T + 1, R]
-            "times": _packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
-            "actions": _packed(trace.actions, "|u1"),  # [T]
-            "shades": _packed(shades, "|u1"),  # [T]
-            "exploratory": _packed(trace.exploratory, "|u1"),  # [T]
-            "rewards": _packed(trace.rewards, "<f4"),  # [T]
-            "terms": _packed(trace.reward_terms, "<f4"),  # [T, K]
-            **{f"series{index}": _packed(series.values, "<f4") for index, series in enumerate(columns)},  # [T, N]
+            "wallPoints": packed(np.concatenate(lines), "<f4"),  # [N, 2]
+            "centreline": packed(track.centreline, "<f4"),  # [P, 2]
+            "gates": packed(track.gates, "<f4"),  # [G, 2, 2]
+            "stepNumbers": packed(steps_of(trace), "<i4"),  # [T + 1]
+            "poses": packed(trace.poses, "<f4"),  # [T + 1, 3]
+            "ranges": packed(trace.ranges, "<f4"),  # [T + 1, R]
+            "times": packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
+            "actions": packed(trace.actions, "|u1"),  # [T]
+            "shades": packed(shades, "|u1"),  # [T]
+            "exploratory": packed(trace.exploratory, "|u1"),  # [T]
+            "rewards": packed(trace.rewards, "<f4"),  # [T]
+            "terms": packed(trace.reward_terms, "<f4"),  # [T, K]
+            **{f"series{index}": packed(series.values, "<f4") for index, series in enumerate(columns)},  # [T, N]
         },
     }
 
@@ -166,6 +180,6 @@ def _capitalised(title: str) -> str:
     return title[:1].upper() + title[1:]
 
 
-def _packed(values: ArrayLike, kind: str) -> list[str]:
-    """The kind of the numbers, and their bytes, row by row, deflated, as base64."""
+def packed(values: ArrayLike, kind: str) -> list[str]:
+    """For `unpack.js`: the kind of the numbers, and their bytes, row by row, deflated, as base64."""
     return [kind, base64.b64encode(zlib.compress(np.asarray(values).astype(kind).tobytes(), 9)).decode()]

@@ -4,14 +4,6 @@
 // A position is a recorded step and the share of it that is driven, 0..T; at T the last step is done. A step's number is
 // that within the episode: it is larger where the log lacks steps.
 
-const ARRAYS = { "<f4": Float32Array, "<i4": Int32Array, "|u1": Uint8Array };
-
-async function unpack([kind, base64]) {
-  const packed = Uint8Array.from(atob(base64), (character) => character.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new ARRAYS[kind](await new Response(stream).arrayBuffer());
-}
-
 async function readEpisode() {
   const { arrays, ...episode } = JSON.parse(byId("episode").textContent);
   const unpacked = await Promise.all(Object.values(arrays).map(unpack));
@@ -31,9 +23,6 @@ function runningSum(values) {
   values.forEach((value, i) => (sums[i + 1] = sums[i] + value));
   return sums;
 }
-
-// Index of the step that is driven at a position; T after the last one.
-const stepAt = (position) => Math.floor(position);
 
 // Whether the log has the step after a step, so that the way between them is known.
 const goesOn = (episode, step) => episode.stepNumbers[step + 1] - episode.stepNumbers[step] === 1;

@@ -3,6 +3,9 @@
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
 const LONGEST_FRAME = 0.25; // s; after a pause of the browser the replay goes on where it was
 
+// Index of the step that is driven at a position; the number of steps after the last one.
+const stepAt = (position) => Math.floor(position);
+
 // `show(player)` is called once for each frame in which something changed.
 function makePlayer(episode, show) {
   const player = { position: 0, playing: false, speed: 1, following: false };

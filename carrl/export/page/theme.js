@@ -10,10 +10,10 @@ const darkScheme = matchMedia("(prefers-color-scheme: dark)");
 const isDark = () => (document.documentElement.dataset.theme ?? (darkScheme.matches ? "dark" : "light")) === "dark";
 
 // A property may hold light-dark(...); only a colour that is in use is resolved to numbers.
-function readColours() {
+function readColours(names = COLOUR_NAMES) {
   const probe = byId("probe");
   const colours = {};
-  for (const name of COLOUR_NAMES) {
+  for (const name of names) {
     probe.style.color = `var(--${name})`;
     colours[name] = getComputedStyle(probe).color;
   }
