@@ -57,6 +57,7 @@ def kept_lap(
     path = folder / f"lap-{_fingerprint(track, vehicle, spacing, margin, quick)}.json"
     kept = _read(path)
     if kept is None:
+        _logger.info("finding the minimum lap of track '%s'; it is kept for the next time", track.name)
         kept = find()
         try:
             write_whole(path, _as_json(kept).encode())
