@@ -139,8 +139,8 @@ def _parser() -> argparse.ArgumentParser:
         choices=get_args(PolicyName),
         default="greedy",
         help="the run's own, greedy; or a baseline, which needs no run: rule and random for every car, follow_the_gap "
-        "for F1TENTH's, by its rays, and line for vehicle=single_track, which knows the map and follows a line that is "
-        "found with CasADi (pip install 'carrl[racing]')",
+        "for F1TENTH's, by its rays, and line for vehicle=single_track with brush tyres, which knows the map and "
+        "follows a line that is found with CasADi (pip install 'carrl[racing]')",
     )
     parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
     add_trust(parser)

@@ -21,7 +21,7 @@ from carrl.racing.reference_line import ReferenceLine
 from carrl.sim.driven import GRAVITY
 from carrl.sim.sensor import Sensor
 from carrl.sim.single_track import SingleTrack
-from carrl.sim.tyres import FULL_SLIP
+from carrl.sim.tyres import FULL_SLIP, STEERABLE
 from carrl.task.action import ActionMap, ContinuousActions
 from carrl.task.episode import ObservationContext
 from carrl.task.motion import WIDE
@@ -75,13 +75,13 @@ def line_driver_of(world: World, tracks: Sequence[Track]) -> tuple[World, Policy
     """The driver for a world's car: the world as it sees it on these tracks, and what it does there.
 
     Raises:
-        CarrlError: the car is no single-track one, or a line was not found.
+        CarrlError: the driver knows no such car, or a line was not found.
     """
     car = world.vehicle
-    if type(car) is not SingleTrack:
+    if type(car) is not SingleTrack or car.tyre == "linear" or car.steering == "servo" or car.pedals == "speed":
         raise ConfigError(
-            f"the line is driven by vehicle=single_track, and this is a {type(car).__name__}; choose that one, with a "
-            "vehicle.preset"
+            "the line is driven by a car with brush tyres, of which its driver sets the steering angle or rate and the "
+            "pedals; choose vehicle=single_track, whose preset is race"
         )
     sees = Observation({"line": LineAhead(car, {track: careful_line(track, car) for track in tracks})})
     return replace(world, observation=sees, action=ContinuousActions(car.control_names)), LineDriver(car)
@@ -97,8 +97,6 @@ def careful_line(track: Track, car: SingleTrack) -> ReferenceLine:
     power_speed = car.power_speed * car.max_acceleration / strongest
     careful = replace(
         car,
-        tyre="brush",
-        integrator="rk4",
         friction=GRIP * car.friction,
         max_acceleration=strongest,
         power_speed=power_speed,
@@ -184,12 +182,12 @@ class LineDriver:
         understeer = self._understeer(across, drive.minimum(see.acceleration.clamp(min=0)))
         damping = DAMPING * car.length * (see.speed * curvature - see.yaw_rate)
         angle = car.wheelbase * curvature + understeer + damping
-        return torch.stack([self._wheel(angle, see), *self._pedals(drive, see)], dim=-1).clamp(-1, 1).float()
+        return torch.stack([self._wheel(angle, see), *self._pedals(drive)], dim=-1).clamp(-1, 1).float()
 
     def _understeer(self, across: Tensor, along: Tensor) -> Tensor:
-        """By how much brush tyres slip more in front than behind at these accelerations [B], m/s^2: [B], rad."""
+        """By how much tyres slip more in front than behind at these accelerations [B], m/s^2: [B], rad."""
         car, grip = self.car, self.car.friction * GRAVITY
-        left = (1 - (along / grip).square()).clamp(min=0.04).sqrt()
+        left = (1 - (along / grip).square()).clamp(min=STEERABLE**2).sqrt()
         moved = along * car.height / (GRAVITY * car.wheelbase)
         front, rear = (
             self._slip(across / (grip * left) * share / (share + load)) * left / stiffness
@@ -210,11 +208,9 @@ class LineDriver:
         car = self.car
         if car.steering == "rate":
             return (angle - see.steering) / (car.steering_rate * car.time_step)
-        return angle / (car.max_steering if car.steering == "servo" else car.steering_range(see.speed))
+        return angle / car.steering_range(see.speed)
 
-    def _pedals(self, drive: Tensor, see: Sight) -> list[Tensor]:
-        """The controls that give an acceleration [B], m/s^2, or keep the line's speed."""
+    def _pedals(self, drive: Tensor) -> list[Tensor]:
+        """The controls that give an acceleration [B], m/s^2."""
         push = (drive / self.car.max_acceleration).clamp(-1, 1)
-        if self.car.pedals == "speed":
-            return [see.pace / self.car.max_speed]
         return [push] if self.car.pedals == "one" else [2 * push.clamp(min=0) - 1, -2 * push.clamp(max=0) - 1]

@@ -355,7 +355,7 @@ BAD_INPUT = [
     ),
     (
         ["evaluate", "--policy", "line", "vehicle=kinematic"],
-        "the line is driven by vehicle=single_track, and this is a Kinematic; choose that one, with a vehicle.preset",
+        "the line is driven by a car with brush tyres, of which its driver sets the steering angle or rate",
     ),
     (
         ["evaluate", "--policy", "rule", "--limit", "auto", "vehicle=kinematic"],

@@ -16,7 +16,6 @@ from tests.racing.laps import oval_lap
 from tests.worlds import make_world
 
 OVAL = Track.load("oval")
-OWN = {"action": ContinuousActions(("steer", "pedal"))}
 
 
 @pytest.fixture(autouse=True)
@@ -46,13 +45,8 @@ def test_no_driver_is_faster_than_the_limit_and_the_line_comes_near_it():
 
 @pytest.mark.parametrize(
     "car",
-    [
-        SingleTrack(pedals="two"),
-        SingleTrack(steering="rate"),
-        SingleTrack(time_step=0.05),
-        SingleTrack("f1tenth", time_step=0.04),
-    ],
-    ids=["two pedals", "steering rate", "shorter steps", "f1tenth"],
+    [SingleTrack(pedals="two"), SingleTrack(steering="rate"), SingleTrack(time_step=0.05)],
+    ids=["two pedals", "steering rate", "shorter steps"],
 )
 def test_cars_that_are_controlled_otherwise_lap_too(car):
     assert None not in flying_laps(car, follow, starts=2)
@@ -93,8 +87,8 @@ def test_a_car_beside_the_line_steers_back_to_it_and_one_that_is_slow_speeds_up(
     assert pedal[0] > 0 > pedal[2]
 
 
-@pytest.mark.parametrize("car", [Vehicle(), Kinematic()])
+@pytest.mark.parametrize("car", [Vehicle(), Kinematic(), SingleTrack("commonroad_2"), SingleTrack("f1tenth")])
 def test_other_cars_are_refused_in_a_sentence(car):
-    world = make_world(OVAL, vehicle=car, **(OWN if isinstance(car, Kinematic) else {}))
-    with pytest.raises(ConfigError, match="the line is driven by vehicle=single_track, and this is a"):
+    world = make_world(OVAL, vehicle=car, action=ContinuousActions(car.control_names))
+    with pytest.raises(ConfigError, match="the line is driven by a car with brush tyres"):
         follow(world)
