@@ -177,10 +177,7 @@ def _show_searches() -> None:
     """Lets what is looked for, and takes long, be told on standard error."""
     logger = logging.getLogger("carrl.racing")
     logger.setLevel(logging.INFO)
-    if not logger.handlers:
-        handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("%(message)s"))
-        logger.addHandler(handler)
+    logger.handlers[:] = [logging.StreamHandler()]  # of today's standard error
 
 
 def print_evaluation(document: Figures) -> None:

@@ -18,7 +18,7 @@ from carrl.cache import CacheError, forget_least_used, is_own, own_cache_dir
 from carrl.errors import CarrlError, TrackError
 from carrl.files import read_whole, write_whole
 from carrl.racing.equations import casadi
-from carrl.racing.minimum_lap import MinimumLap, minimum_lap, point_mass_lap
+from carrl.racing.minimum_lap import MinimumLap, checked_car, minimum_lap, point_mass_lap
 from carrl.racing.reference_line import COLUMNS, from_table
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def kept_lap(
         CarrlError: as `minimum_lap`.
     """
     casadi()  # whose version counts; a missing one is told at once
+    checked_car(vehicle)
 
     def find() -> MinimumLap:
         return (point_mass_lap if quick else minimum_lap)(track, vehicle, spacing, margin)

@@ -17,14 +17,14 @@ def print_lap_times(tracks: Sequence[Figures]) -> None:
     for kind in KINDS:
         if any(kind in figures["lap_times"] for _, figures in drivers):
             _print_laps(kind, drivers)
-    limits = [f"{track['track']} {track['lap_times']['limit_s']:.2f} s" for track in tracks if _has_limit(track)]
-    if limits:
-        print(f"limit of a flying lap: {', '.join(limits)}")
     if any(laps["counted"] < laps["begun"] for _, figures in drivers for laps in _kinds_of(figures)):
         print("laps that were not completed, or in which the car touched a wall, do not count")
     if any("grip_mean" in figures for _, figures in drivers):
         rows = [[name, *(_written(figures.get(key), 3) for key in HANDLING)] for name, figures in drivers]
         print_table("grip used, as a share of the limit, and steering", ["track", *HANDLING.values()], rows)
+    limits = [f"{track['track']} {track['lap_times']['limit_s']:.2f} s" for track in tracks if _has_limit(track)]
+    if limits:
+        print(f"limit of a flying lap: {', '.join(limits)}")
 
 
 def _drivers(track: Figures) -> list[tuple[str, Figures]]:
