@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import logging
 import math
 import os
 import sys
@@ -15,6 +16,7 @@ from carrl.cli.text.console import warn
 from carrl.cli.text.lap_times import print_lap_times
 from carrl.cli.text.many_runs import print_table
 from carrl.errors import ConfigError, printable
+from carrl.racing.kept_laps import minimum_lap_times
 from carrl.train.experiment import road_warning
 from carrl.train.run import PolicyName, Run, load_tracks
 from carrl.train.untrained import Untrained
@@ -37,6 +39,9 @@ STYLES = {
 }
 """How a car was driven: heading, scale, digits and unit of each figure."""
 
+AUTO = "auto"
+"""Instead of limits: they are found."""
+
 Figures = Mapping[str, Any]
 
 
@@ -52,13 +57,18 @@ def main(argv: list[str]) -> int:
     for path, reason in refused.items():
         print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
     warn(road_warning(tracks or world.circuits.validation, world))
+    _show_searches()
+    limits = _limits(arguments.limit)
+    if AUTO in arguments.limit:
+        circuits = tracks or world.circuits.validation
+        limits |= minimum_lap_times([track for track in circuits if track.name not in limits], world.vehicle)
     document = run.evaluate(
         tracks,
         arguments.starts,
         arguments.policy,
         arguments.checkpoint or "best",
         arguments.laps,
-        limits=_limits(arguments.limit),
+        limits=limits,
         speed_trace=arguments.speed_trace,
     )
     document |= {"run": name, **({"refused": refused} if refused else {})}
@@ -117,13 +127,21 @@ def _parser() -> argparse.ArgumentParser:
         "--limit",
         action="append",
         default=[],
-        metavar="TRACK=SECONDS",
-        help="the least time for a flying lap there, to compare lap times with; may be repeated",
+        metavar="TRACK=SECONDS|auto",
+        help="the least time for a flying lap there, to compare lap times with; auto finds that of this car, or reads "
+        "it from the cache, for all tracks that none is given for (pip install 'carrl[racing]'); may be repeated",
     )
     parser.add_argument(
         "--speed-trace", metavar="FILE.csv", help="write time, place and speed at each step of the measured laps"
     )
-    parser.add_argument("--policy", choices=get_args(PolicyName), default="greedy")
+    parser.add_argument(
+        "--policy",
+        choices=get_args(PolicyName),
+        default="greedy",
+        help="the run's own, greedy; or a baseline, which needs no run: rule and random for every car, follow_the_gap "
+        "for F1TENTH's, by its rays, and line for vehicle=single_track with brush tyres, which knows the map and "
+        "follows a line that is found with CasADi (pip install 'carrl[racing]')",
+    )
     parser.add_argument("--checkpoint", choices=("best", "last"), help="which of the run's networks (default: best)")
     add_trust(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
@@ -136,19 +154,30 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
     Raises:
         ConfigError: one is not written as TRACK=SECONDS, or there are two of a track.
     """
+    if texts.count(AUTO) > 1:
+        raise ConfigError(f"--limit {AUTO} is given twice; leave one of them out")
     limits: dict[str, float] = {}
     for text in texts:
+        if text == AUTO:
+            continue
         name, _, seconds = text.rpartition("=")
         try:
             limit = float(seconds)
         except ValueError:
             limit = math.nan
         if not name or math.isnan(limit):
-            raise ConfigError(f"--limit is {text!r}; write it as TRACK=SECONDS, such as oval=20.5")
+            raise ConfigError(f"--limit is {text!r}; write it as TRACK=SECONDS, such as oval=20.5, or auto")
         if name in limits:
             raise ConfigError(f"--limit is given twice for track '{name}'; leave one of them out")
         limits[name] = limit
     return limits
+
+
+def _show_searches() -> None:
+    """Lets what is looked for, and takes long, be told on standard error."""
+    logger = logging.getLogger("carrl.racing")
+    logger.setLevel(logging.INFO)
+    logger.handlers[:] = [logging.StreamHandler()]  # of today's standard error
 
 
 def print_evaluation(document: Figures) -> None:

@@ -22,7 +22,7 @@ from carrl.task.observation import Part
 MOST_CURVATURES, MOST_SECONDS = 1000, 3600
 
 
-class _RoadTerm:
+class RoadTerm:
     """Needs to know where on the road the car is."""
 
     needs: ClassVar[tuple[str, ...]] = ("place",)
@@ -35,7 +35,7 @@ class _RoadTerm:
 
 
 @dataclass(frozen=True)
-class HeadingError(_RoadTerm):
+class HeadingError(RoadTerm):
     """The heading against the direction of the centreline, left positive.
 
     Attributes:
@@ -59,7 +59,7 @@ class HeadingError(_RoadTerm):
 
 
 @dataclass(frozen=True)
-class TrackPosition(_RoadTerm):
+class TrackPosition(RoadTerm):
     """The offset from the centreline: -1 at the right edge of the road, 0 in the middle, 1 at the left edge."""
 
     def part(self, name: str, sensor: Sensor, action: ActionMap) -> Part:
@@ -72,7 +72,7 @@ class TrackPosition(_RoadTerm):
 
 
 @dataclass(frozen=True)
-class Curvatures(_RoadTerm):
+class Curvatures(RoadTerm):
     """How the road bends ahead, at places that the car reaches at its present speed after some seconds.
 
     Attributes:

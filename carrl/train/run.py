@@ -19,6 +19,7 @@ from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
 from carrl.evaluation.baselines import random_policy, rule_of
 from carrl.evaluation.document import Laps, checked_limits, evaluation_figures
 from carrl.evaluation.follow_the_gap import follow_the_gap_of
+from carrl.evaluation.line_driver import line_driver_of
 from carrl.evaluation.rollout import Policy, TrackEvaluator
 from carrl.evaluation.speed_trace import speed_table, traced_drives
 from carrl.files import write_whole
@@ -37,7 +38,7 @@ from carrl.train.plan import checked_seed
 from carrl.train.resumption import resume as resumption_of
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
-PolicyName = Literal["greedy", "rule", "random", "follow_the_gap"]
+PolicyName = Literal["greedy", "rule", "random", "follow_the_gap", "line"]
 
 
 class Run:
@@ -149,7 +150,7 @@ class Run:
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
         evaluator = TrackEvaluator(self.world, circuits, starts, laps)
-        drivers = [self._driver(folder, config, policy, checkpoint) for folder, config in chosen]
+        drivers = [self._driver(folder, config, policy, checkpoint, circuits) for folder, config in chosen]
         driven = [evaluator.evaluate(each, world, speed_trace is not None) for world, each in drivers]
         rule = self._laps_of_the_rule(evaluator) if policy != "rule" else None
         if speed_trace is not None:
@@ -175,14 +176,18 @@ class Run:
             ]
         return document
 
-    def _driver(self, folder: Path, config: Config, policy: PolicyName, checkpoint: str) -> tuple[World, Policy]:
-        """What drives, and the world as that sees it."""
+    def _driver(
+        self, folder: Path, config: Config, policy: PolicyName, checkpoint: str, tracks: Sequence[Track]
+    ) -> tuple[World, Policy]:
+        """What drives these tracks, and the world as that sees it."""
         if policy not in get_args(PolicyName):
             raise ConfigError(f"policy is {shown(policy)}; it must be {', '.join(get_args(PolicyName))}")
         if policy == "rule":
             return rule_of(self.world)
         if policy == "follow_the_gap":
             return follow_the_gap_of(self.world)
+        if policy == "line":
+            return line_driver_of(self.world, tracks)
         if policy == "random":
             return self.world, random_policy(checked_seed(config["seed"]), self.world.action)
         return self.world, load_greedy_policy(folder, checkpoint, config, self.world)

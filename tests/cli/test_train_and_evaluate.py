@@ -12,8 +12,10 @@ import yaml
 
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
+from carrl.racing import kept_laps
 from carrl.report.runs import find_runs
 from tests.processes import carrl_command
+from tests.racing.laps import oval_lap
 
 TINY = [
     "compile=false",
@@ -201,6 +203,28 @@ def test_the_tables_of_lap_times_say_which_laps_do_not_count(run, capsys):
     assert "laps that were not completed, or in which the car touched a wall, do not count" in table
 
 
+def test_a_limit_that_is_not_given_is_found_where_it_says_auto(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kept_laps, "minimum_lap", lambda *_: oval_lap())
+    typed = ["evaluate", "--policy", "line", "vehicle=single_track", "--laps", "2", "--limit", "auto"]
+    assert main([*typed, "--track", "oval", "--json"]) == 0
+    output = capsys.readouterr()
+    (oval,) = json.loads(output.out)["tracks"]
+    assert oval["lap_times"]["limit_s"] == pytest.approx(oval_lap().lap_time, abs=1e-3)
+    assert 1 < oval["lap_times"]["flying"]["share_of_limit"] < 1.25
+    assert output.err.count("finding the minimum lap of track 'oval'") == 2  # the limit, and the driver's line
+    assert main([*typed, "--limit", "oval=11", "--track", "oval"]) == 0
+    output = capsys.readouterr()
+    assert "limit of a flying lap: oval 11.00 s" in output.out and "finding" not in output.err
+
+
+@pytest.mark.parametrize("typed", [["--policy", "line"], ["--policy", "rule", "--limit", "auto"]])
+def test_without_casadi_lines_and_limits_name_the_extra(typed, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    assert main(["evaluate", *typed, "vehicle=single_track", "--track", "oval"]) == 2
+    assert "casadi, which is not installed; pip install 'carrl[racing]'" in capsys.readouterr().err
+
+
 def test_a_speed_trace_has_the_measured_laps_of_every_start(run, tmp_path, capsys):
     path = tmp_path / "trace.csv"
     assert main(["evaluate", str(run), "--starts", "2", "--speed-trace", str(path), "--json"]) == 0
@@ -329,6 +353,15 @@ BAD_INPUT = [
         ["evaluate", "--policy", "follow_the_gap", "vehicle=kinematic"],
         "follow_the_gap tells a car how far to steer and how fast to drive; this one has steer, pedal. Choose vehicle",
     ),
+    (
+        ["evaluate", "--policy", "line", "vehicle=kinematic"],
+        "the line is driven by a car with brush tyres, of which its driver sets the steering angle or rate",
+    ),
+    (
+        ["evaluate", "--policy", "rule", "--limit", "auto", "vehicle=kinematic"],
+        "the minimum lap time is that of vehicle=single_track, and this is a Kinematic",
+    ),
+    (["evaluate", "--policy", "rule", "--limit", "auto", "--limit", "auto"], "--limit auto is given twice"),
     (["report", "nothing"], "no run in 'nothing'"),
     (["fly"], "no verb 'fly'"),
 ]

@@ -155,7 +155,7 @@ def test_what_has_no_effect_on_a_resumed_run_is_refused(run, values, says):
 
 
 def test_a_policy_that_there_is_not_is_refused(run):
-    with pytest.raises(ConfigError, match="policy is 'quick'; it must be greedy, rule, random, follow_the_gap"):
+    with pytest.raises(ConfigError, match="policy is 'quick'; it must be greedy, rule, random, follow_the_gap, line"):
         run.evaluate("oval", policy="quick")
 
 

@@ -22,6 +22,9 @@ def print_lap_times(tracks: Sequence[Figures]) -> None:
     if any("grip_mean" in figures for _, figures in drivers):
         rows = [[name, *(_written(figures.get(key), 3) for key in HANDLING)] for name, figures in drivers]
         print_table("grip used, as a share of the limit, and steering", ["track", *HANDLING.values()], rows)
+    limits = [f"{track['track']} {track['lap_times']['limit_s']:.2f} s" for track in tracks if _has_limit(track)]
+    if limits:
+        print(f"limit of a flying lap: {', '.join(limits)}")
 
 
 def _drivers(track: Figures) -> list[tuple[str, Figures]]:
@@ -34,10 +37,14 @@ def _kinds_of(figures: Figures) -> list[Figures]:
 
 
 def _print_laps(kind: str, drivers: Sequence[tuple[str, Figures]]) -> None:
-    with_limit = any("limit_s" in figures["lap_times"] for _, figures in drivers)
+    with_limit = any(_has_limit(figures) for _, figures in drivers)
     header = ["track", "laps", "mean", "best", *(["/ limit"] if with_limit else []), *SECTORS]
     rows = [_row(name, figures["lap_times"].get(kind), with_limit) for name, figures in drivers]
     print_table(f"{kind} laps: times and mean sectors, s", header, rows)
+
+
+def _has_limit(figures: Figures) -> bool:
+    return "limit_s" in figures["lap_times"]
 
 
 def _row(name: str, laps: Figures | None, with_limit: bool) -> list[str]:
