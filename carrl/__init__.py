@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
     from carrl.env.track_env import TrackEnv
+    from carrl.export.policy.loaded import load_policy
     from carrl.sim.sensor import Sensor
     from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel
     from carrl.task.action import ContinuousActions, DiscreteActions
@@ -40,6 +41,7 @@ __all__ = [
     "Vehicle",
     "VehicleModel",
     "__version__",
+    "load_policy",
     "log",
     "paper_reward",
     "rays_and_last_action",
@@ -71,6 +73,7 @@ _HOMES = {
     "TrackEnv": "carrl.env.track_env",
     "Vehicle": "carrl.sim.vehicle",
     "VehicleModel": "carrl.sim.vehicle",
+    "load_policy": "carrl.export.policy.loaded",
     "paper_reward": "carrl.task.reward",
     "rays_and_last_action": "carrl.task.observation",
 }

@@ -28,6 +28,7 @@ FLAGS = {
         *("--policy", "--checkpoint", "--trust", "--json"),
     ),
     "laps": (*_READING, "--out", "--json"),
+    "export": ("--format", "--out", "--seed", "--checkpoint", "--trust"),
     "drive": ("--track", "--run", "--vehicle", "--fps", "--trust"),
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
     "track list": ("--json",),

@@ -13,6 +13,7 @@ VERBS = {
     "tune": "search for the settings that do best (carrl tune experiment=tune --trials 20)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
     "laps": "compare laps of a track: a replay against each other, and the gap over the way",
+    "export": "write a trained policy as ONNX, a torch program, arrays or C",
     "drive": "drive a track yourself, with the keyboard",
     "report": "compare runs: tables, figures, and which differences are significant",
     "log": "look into a run's MCAP log",

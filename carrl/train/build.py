@@ -221,8 +221,8 @@ def build_network(config: Config, world: World) -> nn.Module:
     return _recipe(config).make_network(config, world)
 
 
-def load_greedy_policy(run: Path, checkpoint: str, config: Config, world: World) -> Policy:
-    """The greedy policy of a run's `best` or `last` network.
+def load_network(run: Path, checkpoint: str, config: Config, world: World) -> nn.Module:
+    """A run's `best` or `last` network.
 
     Raises:
         CheckpointError: the checkpoint is missing, damaged, or of another network than the configuration's.
@@ -233,6 +233,20 @@ def load_greedy_policy(run: Path, checkpoint: str, config: Config, world: World)
     if not _fits(state, network.state_dict()):
         raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")
     network.load_state_dict(state)
+    return network
+
+
+def load_greedy_policy(run: Path, checkpoint: str, config: Config, world: World) -> Policy:
+    """The greedy policy of a run's `best` or `last` network.
+
+    Raises:
+        CheckpointError: as `load_network` does.
+    """
+    return greedy_policy(load_network(run, checkpoint, config, world), config)
+
+
+def greedy_policy(network: nn.Module, config: Config) -> Policy:
+    """What the run's algorithm has this network do without exploration."""
     return _recipe(config).greedy_policy(network)
 
 

@@ -26,7 +26,7 @@ def flags_of(verb, parser):
     return {verb: long - {"--help"}}
 
 
-@pytest.mark.parametrize("verb", ["tune", "evaluate", "laps", "drive", "report", "log", "track"])
+@pytest.mark.parametrize("verb", ["tune", "evaluate", "laps", "export", "drive", "report", "log", "track"])
 def test_every_flag_of_a_verb_is_offered(verb):
     expected = flags_of(verb, importlib.import_module(f"carrl.cli.{verb}")._parser())
     assert {name: set(flags) for name, flags in FLAGS.items() if name.split()[0] == verb} == expected
