@@ -4,20 +4,22 @@ import argparse
 import json
 import math
 import os
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
-
-import torch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
 
 from carrl.cli.parser import Parser, add_trust
-from carrl.cli.text.console import warn
-from carrl.cli.text.lap_times import print_lap_times
-from carrl.cli.text.many_runs import print_table
 from carrl.errors import ConfigError, printable
-from carrl.train.experiment import road_warning
-from carrl.train.run import PolicyName, Run, load_tracks
-from carrl.train.untrained import Untrained
+from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS, PolicyName
+from carrl.report.runs import RunResult, runs_of_sweep
+from carrl.task.checks import whole_number
+from carrl.tracks.names import check_may_exist
+from carrl.train.files import load_config, seed_folders
+
+if TYPE_CHECKING:
+    from carrl.train.run import Run
 
 HEADER = (
     "laps",
@@ -41,11 +43,44 @@ Figures = Mapping[str, Any]
 
 
 def main(argv: list[str]) -> int:
-    """Prints rows for each track, or one JSON document."""
+    """Prints rows for each track, or one JSON document; for a folder of runs, a row or a document for each."""
     arguments = _parser().parse_intermixed_args(argv)
-    if arguments.checkpoint and arguments.policy != "greedy":
-        raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
+    _check_figures(arguments)
+    runs = _check_what_drives(arguments)
+    for track in arguments.track:
+        check_may_exist(track)
+    import torch  # From here on it takes seconds.
+
+    from carrl.cli.evaluate_sweep import evaluate_sweep
+
     torch.set_num_threads(1)
+    document = evaluate_sweep(arguments, runs) if runs else _evaluate(arguments)
+    if arguments.json:
+        print(json.dumps(document, indent=2))
+    elif runs:
+        print_sweep(document)
+    else:
+        print_evaluation(document)
+    if not arguments.json and _names_folder(arguments.run):
+        _print_next(arguments)
+    return 0
+
+
+def _print_next(arguments: argparse.Namespace) -> None:
+    """Prints what else to do with what was evaluated."""
+    from carrl.cli.text.next_steps import print_next
+
+    place = shlex.quote(arguments.run[0])
+    trust = "".join(f" --trust {shlex.quote(module)}" for module in arguments.trust)
+    again = f"evaluate {place}{trust} --track serpentine --starts 8"
+    print_next((again, "somewhere else, from eight places"), (f"report {place}", "how it learnt, beside others"))
+
+
+def _evaluate(arguments: argparse.Namespace) -> dict[str, Any]:
+    from carrl.cli.text.console import warn
+    from carrl.train.experiment import road_warning
+    from carrl.train.run import load_tracks
+
     run, name = _run(arguments)
     world = run.world
     tracks, refused = load_tracks(arguments.track)
@@ -58,28 +93,37 @@ def main(argv: list[str]) -> int:
         arguments.policy,
         arguments.checkpoint or "best",
         arguments.laps,
-        limits=_limits(arguments.limit),
+        limits=arguments.limits,
         speed_trace=arguments.speed_trace,
     )
-    document |= {"run": name, **({"refused": refused} if refused else {})}
-    if arguments.json:
-        print(json.dumps(document, indent=2))
-    else:
-        print_evaluation(document)
-    return 0
+    return document | {"run": name, **({"refused": refused} if refused else {})}
 
 
-def _run(arguments: argparse.Namespace) -> tuple[Run, str]:
-    """What is to be evaluated, and its name for readers.
+def _check_figures(arguments: argparse.Namespace) -> None:
+    """Raises ConfigError for a flag that cannot be done as asked; adds the limits as numbers."""
+    if arguments.checkpoint and arguments.policy != "greedy":
+        raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
+    whole_number("starts", arguments.starts, 1, MOST_STARTS)
+    whole_number("laps", arguments.laps, 1, MOST_LAPS)
+    arguments.limits = _limits(arguments.limit)
+
+
+def _check_what_drives(arguments: argparse.Namespace) -> list[RunResult]:
+    """The runs of a folder of them; none where one run, or none at all, is to be evaluated.
 
     Raises:
-        ConfigError: it is neither one run nor, for a baseline, a configuration.
+        CarrlError: it is neither one run nor several nor, for a baseline, a configuration.
     """
     words = arguments.run
-    if words and (os.path.isdir(words[0]) or "=" not in words[0]):
+    if _names_folder(words):
         if len(words) > 1:
             raise ConfigError(f"'{words[1]}' has no effect beside a run, which has its own car; leave it out")
-        return Run.load(words[0], arguments.trust), words[0]
+        runs = runs_of_sweep(Path(words[0]))
+        if runs and arguments.speed_trace:
+            raise ConfigError("--speed-trace is of one run, and this folder holds several; name one, or leave it out")
+        for folder in [] if runs else seed_folders(Path(words[0])):
+            load_config(folder, arguments.trust)
+        return runs
     if arguments.policy == "greedy":
         raise ConfigError("there is no RUN whose policy could be driven; name its folder, or choose a --policy")
     if arguments.trust:
@@ -87,6 +131,21 @@ def _run(arguments: argparse.Namespace) -> tuple[Run, str]:
     for word in words:
         if arguments.track and word.startswith("track"):
             raise ConfigError(f"{word} has no effect beside --track; leave one of them out")
+    return []
+
+
+def _names_folder(words: Sequence[str]) -> bool:
+    return bool(words) and (os.path.isdir(words[0]) or "=" not in words[0])
+
+
+def _run(arguments: argparse.Namespace) -> tuple["Run", str]:
+    """What is to be evaluated, and its name for readers."""
+    from carrl.train.run import Run
+    from carrl.train.untrained import Untrained
+
+    words = arguments.run
+    if _names_folder(words):
+        return Run.load(words[0], arguments.trust), words[0]
     return Untrained(arguments.policy, words), " ".join(words) or "the default car"
 
 
@@ -99,8 +158,8 @@ def _parser() -> argparse.ArgumentParser:
         "run",
         nargs="*",
         metavar="RUN|KEY=VALUE",
-        help="the folder of a run, or of a run of several seeds for all of them; or, for a baseline without a run, the "
-        "car, sensors and track as carrl train takes them, such as vehicle=kinematic",
+        help="the folder of a run, of a run of several seeds or of a sweep, for all of them; or, for a baseline "
+        "without a run, the car, sensors and track as carrl train takes them, such as vehicle=kinematic",
     )
     parser.add_argument(
         "--track",
@@ -152,20 +211,44 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
 
 
 def print_evaluation(document: Figures) -> None:
-    """Prints tables of the tracks, of their lap times and, of several runs, one of these."""
+    """Prints tables of the tracks, of their lap times and, of several runs, one of these; then what to type next."""
+    from carrl.cli.text.lap_times import print_lap_times
+    from carrl.cli.text.many_runs import print_table
+
     tracks, name = document["tracks"], f"{document['policy']} policy"
-    everything = [document["all"], *([document["all"]["rule"]] if "rule" in document["all"] else [])]
-    styles = [key for key in STYLES if any(key in figures for figures in everything)]
-    header = (*HEADER, *(STYLES[key][0] for key in styles), "near-wall share")
+    styles = _styles([document])
     rows = [row for track in tracks for row in _rows(track["track"], track, styles)]
     if len(tracks) > 1:
         rows += _rows(f"all {len(tracks)} tracks", document["all"], styles)
-    print_table(f"{name} of {document['run']}", ("track", *header), rows)
+    print_table(f"{name} of {document['run']}", ("track", *_header(styles)), rows)
     runs = document.get("runs", ())
     of_seeds = [run["tracks"][0] | {"track": f"  seed {run['seed']}"} for run in runs]
     print_lap_times([*tracks, *of_seeds] if len(tracks) == 1 else tracks)
     if runs:
-        print_table(f"{name} of each run, all tracks", ("seed", *header), _rows_of_runs(runs, document["all"], styles))
+        rows = _rows_of_runs(runs, document["all"], styles)
+        print_table(f"{name} of each run, all tracks", ("seed", *_header(styles)), rows)
+
+
+def print_sweep(document: Figures) -> None:
+    """Prints a row for each run of a sweep, over all tracks, and the rule's where it drives them all alike."""
+    from carrl.cli.text.many_runs import print_table
+
+    runs = document["runs"]
+    styles, rules = _styles(runs), [run["all"].get("rule") for run in runs]
+    rows = [[run["run"], *_cells(run["all"], styles)] for run in runs]
+    if rules[0] is not None and all(rule == rules[0] for rule in rules):
+        rows.append(["rule", *_cells(rules[0], styles)])
+    print_table(f"{document['policy']} policy of each run in {document['sweep']}", ("run", *_header(styles)), rows)
+
+
+def _styles(documents: Sequence[Figures]) -> list[str]:
+    """The keys of `STYLES` that any of these have."""
+    everything = [figures for document in documents for figures in (document["all"], document["all"].get("rule", {}))]
+    return [key for key in STYLES if any(key in figures for figures in everything)]
+
+
+def _header(styles: Sequence[str]) -> tuple[str, ...]:
+    return (*HEADER, *(STYLES[key][0] for key in styles), "near-wall share")
 
 
 def _rows_of_runs(runs: Sequence[Figures], together: Figures, styles: Sequence[str]) -> list[list[str]]:
