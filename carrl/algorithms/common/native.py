@@ -110,7 +110,7 @@ def _compile(
 ) -> NativeFunction:
     """Compiles in the workspace and keeps what can be loaded; several processes may compile the same at once."""
     _logger.warning(
-        "Compiling the updates, which takes about half a minute; later runs with such networks and losses start at once."
+        "Compiling the updates takes about half a minute; later runs with such networks and losses start at once."
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # torch 2.13's exporter warns of torch's own code
