@@ -28,7 +28,7 @@ def test_each_run_is_evaluated_as_it_would_be_alone(sweep, capsys):
     document = json.loads(output.out)
     assert [run["run"] for run in document["runs"]] == ["loss=double_dqn", "loss=dqn"]
     for run in document["runs"]:
-        alone = Run(run["folder"]).evaluate("paper", starts=2)
+        alone = json.loads(json.dumps(Run(run["folder"]).evaluate("paper", starts=2)))
         assert (run["all"], run["tracks"]) == (alone["all"], alone["tracks"])
     assert list(document["left_out"]) == ["loss=broken"]
     assert "warning: left out 'loss=broken': no summary.json" in output.err

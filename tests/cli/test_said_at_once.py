@@ -29,6 +29,8 @@ REFUSALS = [
     "tune --trials 0 experiment=tune",
     "track show nowhere",
     "track check nowhere",
+    "track convert nowhere out.csv",
+    "track lap-time nowhere",
     "log show nowhere.mcap",
     "train seed=three",
     "train device=gpu",
