@@ -21,16 +21,11 @@ from carrl.train.files import load_config, seed_folders
 if TYPE_CHECKING:
     from carrl.train.run import Run
 
-HEADER = (
-    "laps",
-    "95 %",
-    "progress",
-    "collisions / km",
-    "95 %",
-    "lap reward",
-    "steps",
-)
-"""Before the figures of `STYLES` that there are."""
+HOW_FAR = ("laps", "95 % of laps", "progress", "collisions / km", "95 % of these")
+HOW_WELL = ("lap reward", "steps")
+"""After these come the figures of `STYLES` that there are."""
+WIDE = 150
+"""Columns of a terminal in which one table has room for all of that; else there are two."""
 STYLES = {
     "forward_share": ("forward share", 100, 0, "%"),
     "switches_per_100m": ("switches / 100 m", 1, 1, ""),
@@ -213,32 +208,29 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
 def print_evaluation(document: Figures) -> None:
     """Prints tables of the tracks, of their lap times and, of several runs, one of these; then what to type next."""
     from carrl.cli.text.lap_times import print_lap_times
-    from carrl.cli.text.many_runs import print_table
 
     tracks, name = document["tracks"], f"{document['policy']} policy"
     styles = _styles([document])
     rows = [row for track in tracks for row in _rows(track["track"], track, styles)]
     if len(tracks) > 1:
         rows += _rows(f"all {len(tracks)} tracks", document["all"], styles)
-    print_table(f"{name} of {document['run']}", ("track", *_header(styles)), rows)
+    _print_figures(f"{name} of {document['run']}", "track", rows, styles)
     runs = document.get("runs", ())
     of_seeds = [run["tracks"][0] | {"track": f"  seed {run['seed']}"} for run in runs]
     print_lap_times([*tracks, *of_seeds] if len(tracks) == 1 else tracks)
     if runs:
         rows = _rows_of_runs(runs, document["all"], styles)
-        print_table(f"{name} of each run, all tracks", ("seed", *_header(styles)), rows)
+        _print_figures(f"{name} of each run, all tracks", "seed", rows, styles)
 
 
 def print_sweep(document: Figures) -> None:
     """Prints a row for each run of a sweep, over all tracks, and the rule's where it drives them all alike."""
-    from carrl.cli.text.many_runs import print_table
-
     runs = document["runs"]
     styles, rules = _styles(runs), [run["all"].get("rule") for run in runs]
     rows = [[run["run"], *_cells(run["all"], styles)] for run in runs]
     if rules[0] is not None and all(rule == rules[0] for rule in rules):
         rows.append(["rule", *_cells(rules[0], styles)])
-    print_table(f"{document['policy']} policy of each run in {document['sweep']}", ("run", *_header(styles)), rows)
+    _print_figures(f"{document['policy']} policy of each run in {document['sweep']}", "run", rows, styles)
 
 
 def _styles(documents: Sequence[Figures]) -> list[str]:
@@ -247,8 +239,21 @@ def _styles(documents: Sequence[Figures]) -> list[str]:
     return [key for key in STYLES if any(key in figures for figures in everything)]
 
 
-def _header(styles: Sequence[str]) -> tuple[str, ...]:
-    return (*HEADER, *(STYLES[key][0] for key in styles), "near-wall share")
+def _print_figures(title: str, first: str, rows: Sequence[Sequence[str]], styles: Sequence[str]) -> None:
+    """Prints one table of all figures or, on a narrow terminal, one of how far and one of how well it drives."""
+    from rich.console import Console
+
+    from carrl.cli.text.many_runs import print_table
+
+    header, cut = (first, *HOW_FAR, *HOW_WELL, *(STYLES[key][0] for key in styles), "near-wall share"), 1 + len(HOW_FAR)
+    console = Console()
+    if not console.is_terminal or console.width >= WIDE:
+        print_table(title, header, rows)
+    else:
+        print_table(title, header[:cut], [row[:cut] for row in rows])
+        print_table("how well", (first, *header[cut:]), [[row[0], *row[cut:]] for row in rows])
+    if any("±" in cell for row in rows for cell in row):
+        print("± is half of a 95 % interval")
 
 
 def _rows_of_runs(runs: Sequence[Figures], together: Figures, styles: Sequence[str]) -> list[list[str]]:

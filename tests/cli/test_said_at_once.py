@@ -67,7 +67,7 @@ def test_help_and_refusals_do_not_wait_for_torch(commands, code, tmp_path):
         text=True,
         cwd=tmp_path,
         env=environment,
-        timeout=120,
+        timeout=300,
     )
     assert "Traceback" not in done.stderr
     ended = [json.loads(line[6:]) for line in done.stdout.splitlines() if line.startswith("ENDED")]
@@ -78,7 +78,7 @@ def test_the_first_line_of_a_training_comes_before_torch(tmp_path):
     script = "import sys; sys.modules['torch'] = None; from carrl.cli.main import main; main(sys.argv[1:])"
     command = [sys.executable, "-c", script, "train", "experiment=smoke", f"hydra.run.dir={tmp_path / 'run'}"]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, env={**os.environ, "PYTHONPATH": os.getcwd()}
+        command, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": os.getcwd()}
     )
     assert done.stderr.splitlines()[0] == f"training seed 0 on track oval, in {tmp_path / 'run'}"
     assert "import of torch halted" in done.stderr

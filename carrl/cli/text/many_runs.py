@@ -82,7 +82,7 @@ class SweepConsole:
         if any(note.state.startswith("finished") for note in notes.values()):
             print_next(
                 (f"report {place} --out report", "compare them, with figures"),
-                (f"evaluate {place} --track oval", "drive them all on another track"),
+                (f"evaluate {place} --track serpentine", "drive them all on another track"),
             )
 
     def _told(self, folder: Path, note: JobNote, notes: Any) -> str:
