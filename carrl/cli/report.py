@@ -1,6 +1,7 @@
 """`carrl report`: lines up the results of runs and compares groups of them."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,11 +26,11 @@ def main(argv: list[str]) -> int:
     from carrl.report.text import best_lap_of, report_text
 
     findings = find(arguments.directories, arguments.baseline)
-    best_lap = (
-        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size, arguments.trust)
-        if arguments.best_lap
-        else None
-    )
+    best_lap = None
+    if arguments.best_lap:
+        bin_size = BIN_SIZE if arguments.bin_size is None else arguments.bin_size
+        print(f"searching for the best lap among places {bin_size} m apart (--bin-size)", file=sys.stderr)
+        best_lap = best_lap_of(findings.runs, bin_size, arguments.trust)
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:

@@ -152,5 +152,6 @@ def _in_short(config: Mapping[str, Any]) -> str:
 
 
 def _say(sentence: str) -> None:
-    """Prints the first line, before torch is imported, which takes seconds."""
-    print(printable(sentence), file=sys.stderr, flush=True)
+    """Prints the first line where torch is yet to be imported, which takes seconds in which nothing else is seen."""
+    if "torch" not in sys.modules:
+        print(printable(sentence), file=sys.stderr, flush=True)

@@ -121,7 +121,8 @@ def main(argv: list[str]) -> int:
     _check_is_free(overrides, space)
     folder = arguments.folder or make_new(Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}"))
     _make_writable(folder)
-    print(f"tuning in {folder}; each trial is a training run", file=sys.stderr)
+    if "torch" not in sys.modules:  # else nothing keeps one waiting
+        print(f"tuning in {folder}; each trial is a training run", file=sys.stderr, flush=True)
     from carrl.cli.text.many_runs import TuningConsole
     from carrl.cli.trials import Tuning  # From here on it takes seconds.
 
