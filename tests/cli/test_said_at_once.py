@@ -7,12 +7,11 @@ import sys
 
 import pytest
 
-from carrl.cli.main import main
+from carrl.cli.main import VERBS, main
 from carrl.cli.text import next_steps
 
 HEAVY = ("torch", "torchrl", "tensordict", "scipy", "shapely", "matplotlib", "numba", "gymnasium")
-HELPS = [[], ["--help"], *([verb, "--help"] for verb in ("train", "tune", "evaluate", "drive", "report", "doctor"))]
-HELPS += [["log", "--help"], ["track", "--help"]]
+HELPS = [[], ["--help"], ["--version"], *([verb, "--help"] for verb in VERBS)]
 REFUSALS = [
     "evaluate nowhere",
     "evaluate --policy rule --track nowhere.csv",
