@@ -1,4 +1,17 @@
-"""CarRL trains a car to drive from a handful of distance sensors."""
+"""CarRL trains a car to drive from a handful of distance sensors.
+
+    run = carrl.train("fast", seed=3)                       a Run: what `carrl train experiment=fast seed=3` trains
+    run.evaluate("oval"), run.policy, run.log               drive it elsewhere, take its policy, read its log
+    carrl.Run.load("outputs/2026-01-31/12-00-00")           a run of before
+    carrl.log.load("train.mcap")                            a log's transitions, a TensorDict
+    carrl.TrackEnv(track="paper", num_envs=64, seed=0)      the driving task as a TorchRL environment
+    gymnasium.make("carrl/Track-v0", track="oval")          the same for Gymnasium, and make_vec for many cars
+    carrl.sb3.make_vec_env(...)                             the same for Stable-Baselines3
+    carrl.Track.load("oval"), carrl.Track.random(seed=7)    roads: built in, files, made up
+
+What a world is made of: Vehicle, Bicycle, Sensor, DiscreteActions, ContinuousActions, Observation, Reward, Start. Every
+error that a user can mend is a CarrlError. help(carrl.TrackEnv) and the like tell more, and so do README.md and docs/.
+"""
 
 import importlib
 import time

@@ -1,12 +1,20 @@
 """Completion in the shell: the script that it evaluates, and the words that may stand where the cursor is.
 
-The words of `carrl train` and `carrl tune` come from Hydra's own completion, the others from `FLAGS`.
+The words of `carrl train` and `carrl tune` come from Hydra's own completion, the others from `FLAGS` and `VALUES`, and
+those of runs from the folders that are there.
 """
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import get_args
 
+from carrl.cli.export import FORMATS
 from carrl.errors import ConfigError
-from carrl.train import overrides
+from carrl.evaluation.asked import PolicyName
+from carrl.tracks.names import BUILT_IN
+from carrl.train.files import CONFIG, LOG
+from carrl.train.sweep import JOB
 
 _SELECTION = ("--episode", "--env", "--begin", "--end")
 _RANDOM = (
@@ -21,7 +29,10 @@ _RANDOM = (
 )
 _READING = ("--scale", "--width", "--walls", "--circuit", "--direction")
 FLAGS = {
-    "train": overrides.FLAGS,
+    "train": (
+        *("--resolve", "--info", "--help", "--multirun", "--run"),
+        *("--cfg", "--package", "--config-path", "--config-name", "--config-dir", "--trust"),
+    ),
     "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--config-dir", "--storage"),
     "evaluate": (
         *("--track", "--starts", "--laps", "--limit", "--speed-trace"),
@@ -49,8 +60,26 @@ FLAGS = {
     "log recover": ("--run", "--json"),
     "log export": _SELECTION,
     "log replay": ("--episode", "--output", "--no-open", "--rerun"),
+    "doctor": ("--json",),
 }
 """Of each verb, in full; a test compares them with the verbs' own. Here, since some verbs take seconds to import."""
+
+VALUES = {
+    "--track": BUILT_IN,
+    "--policy": get_args(PolicyName),
+    "--checkpoint": ("best", "last"),
+    "--format": FORMATS,
+    "--objective": ("first_lap", "drive"),
+    "--vehicle": ("bicycle", "kinematic", "paper", "single_track"),
+    "--direction": ("clockwise", "counterclockwise"),
+}
+"""Of flags, in full, but for files of one's own."""
+_TAKE_RUNS = ("evaluate", "export", "report")
+_TAKE_TRACKS = ("laps", "track show", "track check", "track convert", "track lap-time")
+RESUME = "resume="
+OUTPUTS = Path("outputs")
+"""Where runs are looked for, unless another folder is begun."""
+_DEPTH, _MOST_FOLDERS, _MOST_RUNS = 4, 5000, 50
 
 BASH = r"""_carrl_completion() {
     local line="${COMP_LINE:0:COMP_POINT}" IFS=$'\n'
@@ -61,17 +90,37 @@ BASH = r"""_carrl_completion() {
     esac
 }
 complete -o nospace -o default -F _carrl_completion carrl"""
-SCRIPTS = {"bash": BASH, "zsh": f"autoload -U +X compinit bashcompinit && compinit && bashcompinit\n{BASH}"}
+ZSH = r"""(( $+functions[compdef] )) || { autoload -U compinit && compinit }
+_carrl() {
+    local -a found
+    found=("${(@f)$(command carrl --complete "${(j: :)words[1,CURRENT-1]} $PREFIX" 2>/dev/null)}")
+    found=(${found:#})
+    if (( $#found )); then compadd -Q -V carrl -S '' -- $found; else _files; fi
+}
+compdef _carrl carrl"""
+FISH = r"""function __carrl_complete
+    set -l found (command carrl --complete (commandline -cp | string collect) 2>/dev/null)
+    if set -q found[1]
+        string trim --right -- $found
+    else
+        __fish_complete_path (commandline -ct)
+    end
+end
+complete -c carrl -f -k -a '(__carrl_complete)'"""
+SCRIPTS = {"bash": BASH, "zsh": ZSH, "fish": FISH}
 
 
 def print_script(arguments: Sequence[str]) -> int:
-    """Prints what the shell is to evaluate: eval "$(carrl --shell-completion bash)".
+    """Prints what the shell is to evaluate: eval "$(carrl --shell-completion bash)"; fish sources it.
 
     Raises:
         ConfigError: the shell is not named, or not one of those.
     """
     if len(arguments) != 1 or arguments[0] not in SCRIPTS:
-        raise ConfigError('--shell-completion takes bash or zsh: eval "$(carrl --shell-completion bash)"')
+        raise ConfigError(
+            '--shell-completion takes bash, zsh or fish: eval "$(carrl --shell-completion bash)"; '
+            "carrl --shell-completion fish | source"
+        )
     print(SCRIPTS[arguments[0]])
     return 0
 
@@ -98,8 +147,44 @@ def candidates(line: str) -> list[str]:
     if verb is None:
         return []
     if word.startswith("-"):
-        return [f"{flag} " for flag in (*FLAGS[verb], "--help") if flag.startswith(word)]
+        return [f"{flag} " for flag in dict.fromkeys((*FLAGS[verb], "--help")) if flag.startswith(word)]
+    if before[-1] in VALUES and before[-1] in FLAGS[verb]:
+        return [f"{value} " for value in VALUES[before[-1]] if value.startswith(word)]
+    if word.startswith(RESUME):
+        return [f"{RESUME}{run} " for run in _runs(word.removeprefix(RESUME))]
+    if verb in _TAKE_RUNS or before[-1] == "--run":
+        return [f"{run} " for run in _runs(word, sweeps=verb in _TAKE_RUNS)]
+    if verb in _TAKE_TRACKS and word:
+        return [f"{name} " for name in BUILT_IN if name.startswith(word)]
+    if before[0] == "log" and not before[-1].startswith("-"):
+        return [f"{log} " for log in _logs(word)]
     return _overrides(before[1:], word) if verb in ("train", "tune") else []
+
+
+def _logs(word: str) -> list[str]:
+    """The logs of runs whose paths begin with the word."""
+    logs = [f"{run}{os.sep}{LOG}" for run in _runs(word if word.count(os.sep) < 2 else os.path.dirname(word))]
+    return [log for log in logs if log.startswith(word) and os.path.isfile(log)]
+
+
+def _runs(word: str, sweeps: bool = False) -> list[str]:
+    """The folders of runs, and on demand of sweeps of them, that begin with the word, the newest first."""
+    root = os.path.dirname(word) if os.sep in word else str(OUTPUTS)
+    found = [path for path in _runs_below(root, sweeps) if path.startswith(word)]
+    return sorted(found, key=os.path.getmtime, reverse=True)[:_MOST_RUNS]
+
+
+def _runs_below(root: str, sweeps: bool) -> Iterator[str]:
+    """Folders that hold a run's configuration, below none that does, and those whose folders hold a sweep's notes."""
+    for seen, (path, folders, _) in enumerate(os.walk(root)):
+        if os.path.isfile(os.path.join(path, CONFIG)):
+            yield path
+            folders.clear()
+        elif seen > _MOST_FOLDERS or os.path.relpath(path, root).count(os.sep) >= _DEPTH:
+            folders.clear()
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        if sweeps and any(os.path.isfile(os.path.join(path, name, JOB)) for name in folders):
+            yield path
 
 
 def _verbs_after(before: Sequence[str]) -> list[str]:

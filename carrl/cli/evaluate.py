@@ -2,35 +2,30 @@
 
 import argparse
 import json
-import logging
-import math
 import os
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
 
-import torch
-
+from carrl.cli.limits import asked_limits, limits_for
 from carrl.cli.parser import Parser, add_trust
-from carrl.cli.text.console import warn
-from carrl.cli.text.lap_times import print_lap_times
-from carrl.cli.text.many_runs import print_table
 from carrl.errors import ConfigError, printable
-from carrl.racing.kept_laps import minimum_lap_times
-from carrl.train.experiment import road_warning
-from carrl.train.run import PolicyName, Run, load_tracks
-from carrl.train.untrained import Untrained
+from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS, PolicyName
+from carrl.report.runs import RunResult, runs_of_sweep
+from carrl.task.checks import whole_number
+from carrl.tracks.names import check_may_exist
+from carrl.train.files import load_config, seed_folders
 
-HEADER = (
-    "laps",
-    "95 %",
-    "progress",
-    "collisions / km",
-    "95 %",
-    "lap reward",
-    "steps",
-)
-"""Before the figures of `STYLES` that there are."""
+if TYPE_CHECKING:
+    from carrl.train.run import Run
+
+HOW_FAR = ("laps", "95 % of laps", "progress", "collisions / km", "95 % of these")
+HOW_WELL = ("lap reward", "steps")
+"""After these come the figures of `STYLES` that there are."""
+WIDE = 150
+"""Columns of a terminal in which one table has room for all of that; else there are two."""
 STYLES = {
     "forward_share": ("forward share", 100, 0, "%"),
     "switches_per_100m": ("switches / 100 m", 1, 1, ""),
@@ -39,57 +34,91 @@ STYLES = {
 }
 """How a car was driven: heading, scale, digits and unit of each figure."""
 
-AUTO = "auto"
-"""Instead of limits: they are found."""
-
 Figures = Mapping[str, Any]
 
 
 def main(argv: list[str]) -> int:
-    """Prints rows for each track, or one JSON document."""
+    """Prints rows for each track, or one JSON document; for a folder of runs, a row or a document for each."""
     arguments = _parser().parse_intermixed_args(argv)
-    if arguments.checkpoint and arguments.policy != "greedy":
-        raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
+    _check_figures(arguments)
+    runs = _check_what_drives(arguments)
+    for track in arguments.track:
+        check_may_exist(track)
+    import torch  # From here on it takes seconds.
+
+    from carrl.cli.evaluate_sweep import evaluate_sweep
+
     torch.set_num_threads(1)
+    document = evaluate_sweep(arguments, runs) if runs else _evaluate(arguments)
+    if arguments.json:
+        print(json.dumps(document, indent=2))
+    elif runs:
+        print_sweep(document)
+    else:
+        print_evaluation(document)
+    if not arguments.json and _names_folder(arguments.run):
+        _print_next(arguments)
+    return 0
+
+
+def _print_next(arguments: argparse.Namespace) -> None:
+    """Prints what else to do with what was evaluated."""
+    from carrl.cli.text.next_steps import print_next
+
+    place = shlex.quote(arguments.run[0])
+    trust = "".join(f" --trust {shlex.quote(module)}" for module in arguments.trust)
+    again = f"evaluate {place}{trust} --track serpentine --starts 8"
+    print_next((again, "somewhere else, from eight places"), (f"report {place}", "how it learnt, beside others"))
+
+
+def _evaluate(arguments: argparse.Namespace) -> dict[str, Any]:
+    from carrl.cli.text.console import warn
+    from carrl.train.experiment import road_warning
+    from carrl.train.run import load_tracks
+
     run, name = _run(arguments)
     world = run.world
     tracks, refused = load_tracks(arguments.track)
     for path, reason in refused.items():
         print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
     warn(road_warning(tracks or world.circuits.validation, world))
-    _show_searches()
-    limits = _limits(arguments.limit)
-    if AUTO in arguments.limit:
-        circuits = tracks or world.circuits.validation
-        limits |= minimum_lap_times([track for track in circuits if track.name not in limits], world.vehicle)
     document = run.evaluate(
         tracks,
         arguments.starts,
         arguments.policy,
         arguments.checkpoint or "best",
         arguments.laps,
-        limits=limits,
+        limits=limits_for(arguments, tracks or world.circuits.validation, world.vehicle),
         speed_trace=arguments.speed_trace,
     )
-    document |= {"run": name, **({"refused": refused} if refused else {})}
-    if arguments.json:
-        print(json.dumps(document, indent=2))
-    else:
-        print_evaluation(document)
-    return 0
+    return document | {"run": name, **({"refused": refused} if refused else {})}
 
 
-def _run(arguments: argparse.Namespace) -> tuple[Run, str]:
-    """What is to be evaluated, and its name for readers.
+def _check_figures(arguments: argparse.Namespace) -> None:
+    """Raises ConfigError for a flag that cannot be done as asked; adds the limits as numbers."""
+    if arguments.checkpoint and arguments.policy != "greedy":
+        raise ConfigError(f"--checkpoint has no effect on --policy {arguments.policy}; leave one of them out")
+    whole_number("starts", arguments.starts, 1, MOST_STARTS)
+    whole_number("laps", arguments.laps, 1, MOST_LAPS)
+    arguments.limits = asked_limits(arguments.limit)
+
+
+def _check_what_drives(arguments: argparse.Namespace) -> list[RunResult]:
+    """The runs of a folder of them; none where one run, or none at all, is to be evaluated.
 
     Raises:
-        ConfigError: it is neither one run nor, for a baseline, a configuration.
+        CarrlError: it is neither one run nor several nor, for a baseline, a configuration.
     """
     words = arguments.run
-    if words and (os.path.isdir(words[0]) or "=" not in words[0]):
+    if _names_folder(words):
         if len(words) > 1:
             raise ConfigError(f"'{words[1]}' has no effect beside a run, which has its own car; leave it out")
-        return Run.load(words[0], arguments.trust), words[0]
+        runs = runs_of_sweep(Path(words[0]))
+        if runs and arguments.speed_trace:
+            raise ConfigError("--speed-trace is of one run, and this folder holds several; name one, or leave it out")
+        for folder in [] if runs else seed_folders(Path(words[0])):
+            load_config(folder, arguments.trust)
+        return runs
     if arguments.policy == "greedy":
         raise ConfigError("there is no RUN whose policy could be driven; name its folder, or choose a --policy")
     if arguments.trust:
@@ -97,6 +126,21 @@ def _run(arguments: argparse.Namespace) -> tuple[Run, str]:
     for word in words:
         if arguments.track and word.startswith("track"):
             raise ConfigError(f"{word} has no effect beside --track; leave one of them out")
+    return []
+
+
+def _names_folder(words: Sequence[str]) -> bool:
+    return bool(words) and (os.path.isdir(words[0]) or "=" not in words[0])
+
+
+def _run(arguments: argparse.Namespace) -> tuple["Run", str]:
+    """What is to be evaluated, and its name for readers."""
+    from carrl.train.run import Run
+    from carrl.train.untrained import Untrained
+
+    words = arguments.run
+    if _names_folder(words):
+        return Run.load(words[0], arguments.trust), words[0]
     return Untrained(arguments.policy, words), " ".join(words) or "the default car"
 
 
@@ -109,8 +153,8 @@ def _parser() -> argparse.ArgumentParser:
         "run",
         nargs="*",
         metavar="RUN|KEY=VALUE",
-        help="the folder of a run, or of a run of several seeds for all of them; or, for a baseline without a run, the "
-        "car, sensors and track as carrl train takes them, such as vehicle=kinematic",
+        help="the folder of a run, of a run of several seeds or of a sweep, for all of them; or, for a baseline "
+        "without a run, the car, sensors and track as carrl train takes them, such as vehicle=kinematic",
     )
     parser.add_argument(
         "--track",
@@ -148,53 +192,55 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _limits(texts: Sequence[str]) -> dict[str, float]:
-    """The limits of tracks as typed.
-
-    Raises:
-        ConfigError: one is not written as TRACK=SECONDS, or there are two of a track.
-    """
-    if texts.count(AUTO) > 1:
-        raise ConfigError(f"--limit {AUTO} is given twice; leave one of them out")
-    limits: dict[str, float] = {}
-    for text in texts:
-        if text == AUTO:
-            continue
-        name, _, seconds = text.rpartition("=")
-        try:
-            limit = float(seconds)
-        except ValueError:
-            limit = math.nan
-        if not name or math.isnan(limit):
-            raise ConfigError(f"--limit is {text!r}; write it as TRACK=SECONDS, such as oval=20.5, or auto")
-        if name in limits:
-            raise ConfigError(f"--limit is given twice for track '{name}'; leave one of them out")
-        limits[name] = limit
-    return limits
-
-
-def _show_searches() -> None:
-    """Lets what is looked for, and takes long, be told on standard error."""
-    logger = logging.getLogger("carrl.racing")
-    logger.setLevel(logging.INFO)
-    logger.handlers[:] = [logging.StreamHandler()]  # of today's standard error
-
-
 def print_evaluation(document: Figures) -> None:
-    """Prints tables of the tracks, of their lap times and, of several runs, one of these."""
+    """Prints tables of the tracks, of their lap times and, of several runs, one of these; then what to type next."""
+    from carrl.cli.text.lap_times import print_lap_times
+
     tracks, name = document["tracks"], f"{document['policy']} policy"
-    everything = [document["all"], *([document["all"]["rule"]] if "rule" in document["all"] else [])]
-    styles = [key for key in STYLES if any(key in figures for figures in everything)]
-    header = (*HEADER, *(STYLES[key][0] for key in styles), "near-wall share")
+    styles = _styles([document])
     rows = [row for track in tracks for row in _rows(track["track"], track, styles)]
     if len(tracks) > 1:
         rows += _rows(f"all {len(tracks)} tracks", document["all"], styles)
-    print_table(f"{name} of {document['run']}", ("track", *header), rows)
+    _print_figures(f"{name} of {document['run']}", "track", rows, styles)
     runs = document.get("runs", ())
     of_seeds = [run["tracks"][0] | {"track": f"  seed {run['seed']}"} for run in runs]
     print_lap_times([*tracks, *of_seeds] if len(tracks) == 1 else tracks)
     if runs:
-        print_table(f"{name} of each run, all tracks", ("seed", *header), _rows_of_runs(runs, document["all"], styles))
+        rows = _rows_of_runs(runs, document["all"], styles)
+        _print_figures(f"{name} of each run, all tracks", "seed", rows, styles)
+
+
+def print_sweep(document: Figures) -> None:
+    """Prints a row for each run of a sweep, over all tracks, and the rule's where it drives them all alike."""
+    runs = document["runs"]
+    styles, rules = _styles(runs), [run["all"].get("rule") for run in runs]
+    rows = [[run["run"], *_cells(run["all"], styles)] for run in runs]
+    if rules[0] is not None and all(rule == rules[0] for rule in rules):
+        rows.append(["rule", *_cells(rules[0], styles)])
+    _print_figures(f"{document['policy']} policy of each run in {document['sweep']}", "run", rows, styles)
+
+
+def _styles(documents: Sequence[Figures]) -> list[str]:
+    """The keys of `STYLES` that any of these have."""
+    everything = [figures for document in documents for figures in (document["all"], document["all"].get("rule", {}))]
+    return [key for key in STYLES if any(key in figures for figures in everything)]
+
+
+def _print_figures(title: str, first: str, rows: Sequence[Sequence[str]], styles: Sequence[str]) -> None:
+    """Prints one table of all figures or, on a narrow terminal, one of how far and one of how well it drives."""
+    from rich.console import Console
+
+    from carrl.cli.text.many_runs import print_table
+
+    header, cut = (first, *HOW_FAR, *HOW_WELL, *(STYLES[key][0] for key in styles), "near-wall share"), 1 + len(HOW_FAR)
+    console = Console()
+    if not console.is_terminal or console.width >= WIDE:
+        print_table(title, header, rows)
+    else:
+        print_table(title, header[:cut], [row[:cut] for row in rows])
+        print_table("how well", (first, *header[cut:]), [[row[0], *row[cut:]] for row in rows])
+    if any("±" in cell for row in rows for cell in row):
+        print("± is half of a 95 % interval")
 
 
 def _rows_of_runs(runs: Sequence[Figures], together: Figures, styles: Sequence[str]) -> list[list[str]]:

@@ -3,18 +3,25 @@
 import argparse
 import sys
 from pathlib import Path
-
-import torch
+from typing import TYPE_CHECKING
 
 from carrl.cli.parser import Parser, add_trust, named_folder
-from carrl.cli.text.terminal_table import print_table
-from carrl.export.policy import FORMATS, Exported, export_policy
-from carrl.train.run import Run
+
+if TYPE_CHECKING:
+    from carrl.export.policy import Exported
+
+FORMATS = ("onnx", "torch", "npz", "c")
+"""The keys of `carrl.export.policy.FORMATS`, which waits for torch."""
 
 
 def main(argv: list[str]) -> int:
     """Writes the file, and says what it takes and gives."""
     arguments = _parser().parse_args(argv)
+    import torch  # From here on it takes seconds.
+
+    from carrl.export.policy import export_policy
+    from carrl.train.run import Run
+
     torch.set_num_threads(1)
     run = Run.load(arguments.run, arguments.trust)
     exported = export_policy(run, arguments.format, arguments.out, arguments.seed, arguments.checkpoint)
@@ -35,7 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("run", type=named_folder, metavar="RUN", help="the folder of a run")
     parser.add_argument(
         "--format",
-        choices=tuple(FORMATS),
+        choices=FORMATS,
         default="onnx",
         help="an ONNX model (the default), a torch.export program, arrays for NumPy, or a C header",
     )
@@ -48,7 +55,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _print(exported: Exported) -> None:
+def _print(exported: "Exported") -> None:
+    from carrl.cli.text.terminal_table import print_table
+
     document = exported.document
     rows = [
         (

@@ -18,6 +18,7 @@ VERBS = {
     "report": "compare runs: tables, figures, and which differences are significant",
     "log": "look into a run's MCAP log",
     "track": "list, draw, check and make up tracks",
+    "doctor": "check this installation, and say what to install for what is missing",
 }
 _VERB_LINES = "\n".join(f"  {verb:<10}{what}" for verb, what in VERBS.items())
 USAGE = f"""usage: carrl VERB ...
@@ -25,7 +26,16 @@ USAGE = f"""usage: carrl VERB ...
 {_VERB_LINES}
 
 carrl VERB --help tells more; carrl --version names the version.
-Completion for bash and zsh: eval "$(carrl --shell-completion bash)", or zsh"""
+Tab completion: eval "$(carrl --shell-completion bash)", or zsh; carrl --shell-completion fish | source"""
+WELCOME = """CarRL trains cars to drive from a handful of distance sensors. The commands that matter most:
+
+  carrl train experiment=fast          train a network, in a minute; its results are in a folder, RUN
+  carrl evaluate RUN --track oval      drive it on another track
+  carrl log replay RUN/train.mcap      watch an episode of its training in a browser
+  carrl report DIR                     compare the runs in a folder
+  carrl track show FILE.csv            draw a track of your own, for carrl train track=FILE.csv
+
+carrl --help lists all verbs; carrl doctor says what this machine lacks."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -46,7 +56,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    verb = arguments[0] if arguments else "--help"
+    if not arguments:
+        print(WELCOME)
+        return 0
+    verb = arguments[0]
     if verb in ("-h", "--help"):
         print(USAGE)
         return 0

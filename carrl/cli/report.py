@@ -1,14 +1,17 @@
 """`carrl report`: lines up the results of runs and compares groups of them."""
 
 import argparse
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from carrl.cli.parser import Parser, add_trust, named_folder
 from carrl.errors import ConfigError
 from carrl.render import picture_format
-from carrl.report.document import as_json, write_report
-from carrl.report.findings import Findings, find
-from carrl.report.text import best_lap_of, report_text
+from carrl.report.runs import check_have_runs
+
+if TYPE_CHECKING:
+    from carrl.report.findings import Findings
 
 BIN_SIZE = 0.25
 """Of the search for the best possible lap, m."""
@@ -18,12 +21,16 @@ def main(argv: list[str]) -> int:
     """Prints a report in Markdown, or as JSON, and on demand writes it with its figures into a folder."""
     arguments = _parser().parse_args(argv)
     _check(arguments)
+    from carrl.report.document import as_json, write_report  # From here on it takes seconds.
+    from carrl.report.findings import find
+    from carrl.report.text import best_lap_of, report_text
+
     findings = find(arguments.directories, arguments.baseline)
-    best_lap = (
-        best_lap_of(findings.runs, BIN_SIZE if arguments.bin_size is None else arguments.bin_size, arguments.trust)
-        if arguments.best_lap
-        else None
-    )
+    best_lap = None
+    if arguments.best_lap:
+        bin_size = BIN_SIZE if arguments.bin_size is None else arguments.bin_size
+        print(f"searching for the best lap among places {bin_size} m apart (--bin-size)", file=sys.stderr)
+        best_lap = best_lap_of(findings.runs, bin_size, arguments.trust)
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:
@@ -44,6 +51,7 @@ def _check(arguments: argparse.Namespace) -> None:
     for flag, value in (("--bin-size", arguments.bin_size is not None), ("--trust", arguments.trust)):
         if value and not arguments.best_lap:
             raise ConfigError(f"{flag} has no effect without --best-lap; add that, or leave it out")
+    check_have_runs(arguments.directories)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -79,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _draw_curves(path: Path, findings: Findings) -> None:
+def _draw_curves(path: Path, findings: "Findings") -> None:
     from carrl.render.curves import RunCurve, draw_learning_curves  # brings Matplotlib
 
     first_laps = [(run.summary or {}).get("first_lap") for run in findings.runs]

@@ -18,6 +18,8 @@ from carrl.cli.track_convert import (
 )
 from carrl.cli.track_lap_time import add_lap_time_arguments, run_lap_time
 from carrl.errors import TrackError, printable
+from carrl.render import picture_format
+from carrl.tracks.names import check_may_exist
 
 if TYPE_CHECKING:
     from carrl.sim.drivability import Car
@@ -141,13 +143,13 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    from carrl.render import picture_format
-    from carrl.render.corridor import draw_corridor
+    path = Path(arguments.out or f"{Path(arguments.track).stem}.png")
+    picture_format(path, "--out")
+    check_may_exist(arguments.track)
+    from carrl.render.corridor import draw_corridor  # From here on it takes seconds.
     from carrl.render.track_map import draw_track_map
     from carrl.tracks.rings import CorridorError
 
-    path = Path(arguments.out or f"{Path(arguments.track).stem}.png")
-    picture_format(path, "--out")
     try:
         track = load_as_said(arguments)
     except CorridorError as error:
@@ -162,7 +164,9 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> int:
     """Checks every track even when one cannot be read, and returns the gravest exit code."""
-    from carrl.sim.drivability import unsuitable
+    if len(arguments.tracks) == 1 and not arguments.json:
+        check_may_exist(arguments.tracks[0])
+    from carrl.sim.drivability import unsuitable  # From here on it takes seconds.
     from carrl.tracks.inspection import inspect_track
 
     car, is_given = _car(arguments)

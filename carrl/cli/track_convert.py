@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carrl.errors import TrackError, printable
+from carrl.tracks.names import check_may_exist
 
 if TYPE_CHECKING:
     from carrl.tracks.track import Track
@@ -58,7 +59,8 @@ def add_convert_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_convert(arguments: argparse.Namespace) -> int:
     """Converts, and returns 1 where a wall read back is further off than the format's tolerance."""
-    from carrl.tracks.convert import convert, files_of
+    check_may_exist(arguments.track)
+    from carrl.tracks.convert import convert, files_of  # From here on it takes seconds.
 
     track, path = load_as_said(arguments), Path(arguments.out)
     for file in files_of(path):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from carrl.cli.track_convert import add_reading_flags, load_as_said
 from carrl.errors import ConfigError, TrackError
+from carrl.tracks.names import check_may_exist
 
 if TYPE_CHECKING:
     from carrl.racing.checks import Check
@@ -47,6 +48,8 @@ def add_lap_time_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lap_time(arguments: argparse.Namespace) -> int:
     """Finds it, and returns 1 where a check fails."""
+    if "=" not in arguments.track:
+        check_may_exist(arguments.track)
     from carrl.racing.checks import check_lap
     from carrl.racing.kept_laps import kept_lap
 

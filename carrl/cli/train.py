@@ -5,9 +5,10 @@ What trains is imported once the configuration is composed, so that a misspelt k
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -18,10 +19,10 @@ from yaml import YAMLError
 
 from carrl.cli.sweep import FLAGS, Refusal, config_folders, hydra_records, sweep
 from carrl.config import config_dir
-from carrl.errors import CarrlError, ConfigError, printable
+from carrl.errors import CarrlError, ConfigError, printable, shown
 from carrl.train.composition import explain, plain
 from carrl.train.files import load_config
-from carrl.train.new_folder import locked
+from carrl.train.new_folder import check_holds_no_run, locked
 from carrl.train.overrides import (
     TRUST,
     Arguments,
@@ -31,6 +32,7 @@ from carrl.train.overrides import (
     sort_arguments,
     unquote,
 )
+from carrl.train.plan import check_early
 
 RESUME = "resume="
 
@@ -38,6 +40,11 @@ RESUME = "resume="
 def main(argv: list[str]) -> int:
     """Runs Hydra on the overrides, for one run or, with -m, for many; with `resume=RUN` it goes on with that run."""
     typed = sort_arguments(argv)
+    if "--help" in typed.flags:
+        from carrl.cli.text.train_help import print_help
+
+        print_help()
+        return 0
     run = _resumed_run(typed.overrides)
     if run is not None:
         return _resume(run, typed)
@@ -55,6 +62,9 @@ def main(argv: list[str]) -> int:
         try:
             values = plain(config, config_folders())
             check_is_read(overrides, values)
+            check_early(values)
+            check_holds_no_run(path)
+            _say(f"training {_in_short(values)}, in {path}")
             from carrl.cli.text.console import follow_run, print_results
             from carrl.train.experiment import Experiment
 
@@ -116,7 +126,8 @@ def _resume(run: Path, typed: Arguments) -> int:
         raise ConfigError(f"{flags[0]} cannot be given with {RESUME}; one run is resumed at a time")
     trust = [flag.partition("=")[2] for flag in typed.flags]
     changes = [override for override in typed.overrides if not _is_resume(override)]
-    load_config(run, trust)  # so that nothing is written to a folder that is no run's
+    config = load_config(run, trust)  # so that nothing is written to a folder that is no run's
+    _say(f"going on with {_in_short(config)}, in {run}")
     from carrl.cli.text.console import follow_run, print_results
     from carrl.train.experiment import Experiment
     from carrl.train.resumption import resume
@@ -129,3 +140,18 @@ def _resume(run: Path, typed: Arguments) -> int:
         summaries = experiment.go_on(resumption.state, follow_run())
     print_results(resumption.config, summaries, run)
     return 0
+
+
+def _in_short(config: Mapping[str, Any]) -> str:
+    """What is trained, in a few words."""
+    seeds = config["trainer"].get("seeds")
+    who = f"seed {config['seed']}" if seeds is None else f"seeds {shown(seeds)}"
+    track = config["track"]
+    name = track.get("name_or_path") or f"{track.get('_target_', '').rpartition('.')[2]} tracks"
+    return f"{who} on track {name}" if not config.get("data") else f"{who} on logs"
+
+
+def _say(sentence: str) -> None:
+    """Prints the first line where torch is yet to be imported, which takes seconds in which nothing else is seen."""
+    if "torch" not in sys.modules:
+        print(printable(sentence), file=sys.stderr, flush=True)

@@ -9,31 +9,29 @@ import math
 import os
 import re
 import shlex
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from carrl.cli.parser import Parser, named_folder
-from carrl.cli.text.console import RoadWarning, StopOnSignals
-from carrl.cli.text.many_runs import TrialRow, TuningConsole
 from carrl.errors import CarrlError, ConfigError, shown
-from carrl.train.callbacks import Callback
-from carrl.train.composition import composed
-from carrl.train.experiment import Experiment
-from carrl.train.new_folder import check_holds_no_run, locked, make_new
-from carrl.train.overrides import is_search, readable_overrides
-from carrl.train.replicate_run import OBJECTIVES, Objective
+from carrl.train.objectives import OBJECTIVES
+
+if TYPE_CHECKING:
+    from carrl.cli.text.many_runs import TrialRow
+    from carrl.cli.trials import Tuning
 
 SEARCH = "search"
 """The key of the configuration; training does not read it."""
 STUDY = "study.db"
 WARM_UP_TRIALS, WARM_UP_EVALUATIONS = 4, 2
 """Before these no trial is given up: by then the median means something."""
-_ASKED, _ERROR = "asked", "error"
+_ASKED = "asked"
 
 
 @dataclass(frozen=True)
@@ -111,6 +109,10 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"--trials is {arguments.trials}; it must be at least 1")
     if arguments.timeout is not None and not 0 < arguments.timeout < math.inf:
         raise ConfigError(f"--timeout is {arguments.timeout}; it must be a positive number of seconds")
+    from carrl.train.composition import composed  # brings Hydra
+    from carrl.train.new_folder import locked, make_new
+    from carrl.train.overrides import readable_overrides
+
     overrides = readable_overrides(arguments.overrides, is_sweep=None)
     config = composed(overrides, arguments.config_dir)
     if config.get("data"):
@@ -119,6 +121,11 @@ def main(argv: list[str]) -> int:
     _check_is_free(overrides, space)
     folder = arguments.folder or make_new(Path(f"outputs/tune/{datetime.now():%Y-%m-%d/%H-%M-%S}"))
     _make_writable(folder)
+    if "torch" not in sys.modules:  # else nothing keeps one waiting
+        print(f"tuning in {folder}; each trial is a training run", file=sys.stderr, flush=True)
+    from carrl.cli.text.many_runs import TuningConsole
+    from carrl.cli.trials import Tuning  # From here on it takes seconds.
+
     tuning = Tuning(overrides, space, OBJECTIVES[arguments.objective], folder, arguments.config_dir)
     with locked(folder, waiting=True):  # several commands may share a study, but only one may make it
         study = _open_study(arguments, tuning, config["seed"])
@@ -146,92 +153,6 @@ def _check_is_free(overrides: Sequence[str], space: SearchSpace) -> None:
             raise ConfigError(f"{override} has no effect, as {SEARCH} has {key}, which each trial draws; leave one out")
 
 
-@dataclass(frozen=True)
-class Tuning:
-    """What is tuned.
-
-    Attributes:
-        overrides: of every trial.
-        space: what each trial draws besides.
-        objective: what is sought.
-        folder: of the study; each trial has a run's folder in it.
-        own_folder: of groups and experiments of one's own.
-    """
-
-    overrides: Sequence[str]
-    space: SearchSpace
-    objective: Objective
-    folder: Path
-    own_folder: Path | None = None
-
-    def run_trial(self, study: Any) -> None:
-        """Draws settings, trains with them, and tells the study what came of it.
-
-        Raises:
-            ConfigError: the settings are none that can be trained with.
-            KeyboardInterrupt: a signal ended the trial.
-        """
-        from optuna.trial import TrialState
-
-        trial = study.ask()
-        drawn = [f"{key}={values.suggest(trial, key)}" for key, values in self.space.items()]
-        try:
-            config = composed([*self.overrides, *drawn], self.own_folder)
-            config.pop(SEARCH)
-            pruning = PruningCallback(trial, self.objective, config)
-            summaries = Experiment(config, self.folder / f"trial={trial.number}").run(
-                [RoadWarning(), StopOnSignals(), pruning]
-            )
-            if pruning.verdict is None and not all(summary["finished"] for summary in summaries):
-                raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            study.tell(trial, state=TrialState.FAIL)
-            raise
-        except CarrlError as error:
-            trial.set_user_attr(_ERROR, str(error))
-            study.tell(trial, state=TrialState.FAIL)
-            if isinstance(error, ConfigError):
-                raise
-            return
-        if pruning.verdict == "pruned":
-            study.tell(trial, state=TrialState.PRUNED)
-        else:
-            study.tell(trial, pruning.value)
-
-
-class PruningCallback(Callback):
-    """Follows a trial's greedy drives, and ends it as soon as its value is final, or the study's pruner gives it up."""
-
-    def __init__(self, trial: Any, objective: Objective, config: Mapping[str, Any]) -> None:
-        self._trial, self._objective = trial, objective
-        self._frames, self._interval = config["trainer"]["frames"], config["evaluation"]["interval"]
-        self._judged = 0
-        self._runs: Sequence[Any] = ()
-        self.verdict: str | None = None
-
-    @property
-    def value(self) -> float:
-        """Of the trial so far."""
-        return self._objective.value(self._runs, self._frames)
-
-    def on_round(self, trainer: Any) -> None:
-        """Reports the trial's value after every evaluation."""
-        self._runs = trainer.runs
-        evaluations = trainer.frames // self._interval  # not frames, which differ with env.num_envs
-        if evaluations == self._judged:
-            return
-        self._judged = evaluations
-        self._trial.report(self.value, evaluations)
-        if self._objective.is_settled(self._runs):
-            for later in range(evaluations + 1, self._frames // self._interval + 1):
-                self._trial.report(self.value, later)  # so that others are still measured by it
-            self.verdict = "converged"
-        elif self._trial.should_prune():
-            self.verdict = "pruned"
-        if self.verdict is not None:
-            trainer.stop()
-
-
 def _make_writable(folder: Path) -> None:
     """Makes the study's folder.
 
@@ -246,13 +167,15 @@ def _make_writable(folder: Path) -> None:
         raise ConfigError(f"--folder '{folder}' cannot be written to; choose another")
 
 
-def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any:
+def _open_study(arguments: argparse.Namespace, tuning: "Tuning", seed: int) -> Any:
     """The study in the storage, new or to go on with.
 
     Raises:
         ConfigError: the storage cannot be used, or has a study of something else, or the folder has another's trials.
     """
     import optuna
+
+    from carrl.train.new_folder import check_holds_no_run
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     storage = arguments.storage or f"sqlite:///{tuning.folder.absolute()}/{STUDY}"
@@ -278,8 +201,11 @@ def _open_study(arguments: argparse.Namespace, tuning: Tuning, seed: int) -> Any
     return study
 
 
-def _rows(study: Any) -> list[TrialRow]:
+def _rows(study: Any) -> list["TrialRow"]:
     """The trials that came to an end of their own."""
+    from carrl.cli.text.many_runs import TrialRow
+    from carrl.cli.trials import ERROR
+
     ends = {"COMPLETE": "complete", "PRUNED": "given up", "FAIL": "failed"}
     return [
         TrialRow(
@@ -288,14 +214,14 @@ def _rows(study: Any) -> list[TrialRow]:
             trial.value if trial.state.name == "COMPLETE" else None,
             {key: str(value) for key, value in trial.params.items()},
             (trial.duration.total_seconds() if trial.duration else 0.0),
-            trial.user_attrs.get(_ERROR),
+            trial.user_attrs.get(ERROR),
         )
         for trial in study.get_trials(deepcopy=False)
-        if trial.state.name in ("COMPLETE", "PRUNED") or _ERROR in trial.user_attrs
+        if trial.state.name in ("COMPLETE", "PRUNED") or ERROR in trial.user_attrs
     ]
 
 
-def _print_best(study: Any, tuning: Tuning) -> None:
+def _print_best(study: Any, tuning: "Tuning") -> None:
     complete = [row for row in _rows(study) if row.value is not None]
     if not complete:
         raise CarrlError("no trial was completed; allow more --trials or a longer --timeout")
@@ -303,11 +229,14 @@ def _print_best(study: Any, tuning: Tuning) -> None:
     drawn = [f"{key}={value}" for key, value in best.params.items()]
     command = f"carrl train {shlex.join([*_read_by_training(tuning.overrides, tuning.own_folder), *drawn])}"
     print(f"trial {best.number} is the best; train with its settings:\n\n  {command}")
-    print(f"\nresults in {tuning.folder.absolute()}")
+    print(f"\nresults in {tuning.folder.absolute()}; compare its trials: carrl report {tuning.folder}")
 
 
 def _read_by_training(overrides: Sequence[str], own_folder: Path | None = None) -> list[str]:
     """What of a study's command line `carrl train` reads, too: neither its search nor a seed of its own alone."""
+    from carrl.train.composition import composed
+    from carrl.train.overrides import is_search
+
     has_seeds = composed(overrides, own_folder)["trainer"].get("seeds") is not None
     own = [] if own_folder is None else ["--config-dir", str(own_folder)]
     settings = [each for each in overrides if not (is_search(each) or (has_seeds and re.match(r"\+*seed=", each)))]

@@ -161,6 +161,13 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self._picture: FollowPicture | None = None
         self._window: Window | None = None
 
+    def __repr__(self) -> str:
+        """One line: what is driven on, and with how many rays."""
+        simulator = self.task.simulator
+        names = [track.name for track in self.tracks]
+        track = shown(names[0] if len(names) == 1 else names)
+        return f"GymTrackEnv({track}, rays={simulator.sensor.rays}, render_mode={self.render_mode!r})"
+
     @property
     def tracks(self) -> tuple[Track, ...]:
         """What `info["track"]` counts: the tracks given, each with its variants if there are any."""

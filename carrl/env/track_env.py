@@ -3,8 +3,10 @@
 Shapes: `N` cars driven side by side, `R` rays.
 """
 
+import inspect
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -74,6 +76,11 @@ class TrackEnv(EnvBase):
         TrackError: a track cannot be loaded.
         ConfigError: a parameter, a seed or an action is of another type or out of its range.
     """
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """Shows what the subclass takes, too."""
+        super().__init_subclass__(**keywords)
+        _show_signature(cls)
 
     def __init__(
         self,
@@ -290,3 +297,16 @@ class TrackEnv(EnvBase):
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,)).to(
             self.device
         )
+
+
+def _show_signature(env_class: type) -> None:
+    """Lets `inspect.signature`, and what shows it while one types, see what a class takes.
+
+    torchrl 0.14's metaclass makes all environments with a function of its own, `(*args, **kwargs)`.
+    """
+    signature = inspect.signature(env_class.__init__)  # type: ignore[misc]
+    _, *parameters = signature.parameters.values()
+    env_class.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+
+
+_show_signature(TrackEnv)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, shown
+from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS
 from carrl.evaluation.lap_timing import LapTiming
 from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
@@ -19,7 +20,7 @@ from carrl.sim.driven import GRAVITY
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.checks import whole_number
 from carrl.task.reward import LAP_TERMS
-from carrl.task.task import MOST_CARS, Task, World
+from carrl.task.task import Task, World
 from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
@@ -35,8 +36,6 @@ MOST_STEPS, MOST_READINGS = 2**18, 2**28
 """Of a drive, and steps times cars times rays, all of which are kept: about 1 GiB each."""
 NO_POSES, NO_ACTIONS, NO_SPEEDS = np.empty((0, 0), np.float32), np.empty(0, np.int64), np.empty(0, np.float32)
 """The trajectory of a drive whose own is not kept."""
-MOST_LAPS = 1000
-"""Of a drive."""
 CARS_AT_ONCE = 256
 """As many tracks are driven together as this many cars allow, but at least one, so that memory stays bounded."""
 
@@ -56,7 +55,7 @@ def rollout_laps(
     Raises:
         ConfigError: fewer than one start place or lap, or a drive takes too many steps.
     """
-    starts = whole_number("starts", starts, 1, MOST_CARS)
+    starts = whole_number("starts", starts, 1, MOST_STARTS)
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
     return rollout(world, simulator, policy, torch.cat(stations), track, kept, laps)

@@ -3,12 +3,16 @@
 import os
 import sys
 import warnings
-from typing import Any
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 from carrl.errors import ConfigError
-from carrl.render.canvas import Picture
 
-_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
+if TYPE_CHECKING:
+    from carrl.render.canvas import Picture
+
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
+_NO_PYGAME = "a window needs pygame, which is not installed; pip install 'carrl[render]'"
 
 
 class Window:
@@ -24,20 +28,18 @@ class Window:
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
         """Opens it."""
+        check_can_open()
         self._pygame = pygame = _import_pygame()
         try:
-            # Without a display SDL 2.28 draws where nobody can see it, instead of failing.
-            if sys.platform == "linux" and not any(name in os.environ for name in _DISPLAYS):
-                raise pygame.error("no display was found")
             pygame.display.init()
             self._screen = pygame.display.set_mode(size)
         except pygame.error as error:
             pygame.display.quit()
-            raise ConfigError(f"no window can be opened: {error}; render_mode='rgb_array' needs no display") from error
+            raise ConfigError(_no_window(str(error))) from error
         pygame.display.set_caption(title)
         self._clock = pygame.time.Clock()
 
-    def show(self, picture: Picture, fps: float) -> None:
+    def show(self, picture: "Picture", fps: float) -> None:
         """Shows a picture [H, W, 3], no sooner than 1 / fps seconds after the one before."""
         pygame, (height, width) = self._pygame, picture.shape[:2]
         self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
@@ -50,6 +52,18 @@ class Window:
         self._pygame.display.quit()
 
 
+def check_can_open() -> None:
+    """Raises ConfigError where there is no pygame, or no display; without one SDL 2.28 draws where nobody sees it."""
+    if find_spec("pygame") is None:
+        raise ConfigError(_NO_PYGAME)
+    if sys.platform == "linux" and not any(name in os.environ for name in DISPLAYS):
+        raise ConfigError(_no_window("no display was found"))
+
+
+def _no_window(reason: str) -> str:
+    return f"no window can be opened: {reason}; render_mode='rgb_array' needs no display"
+
+
 def _import_pygame() -> Any:
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     try:
@@ -58,5 +72,5 @@ def _import_pygame() -> Any:
             warnings.filterwarnings("ignore", ".*pkg_resources")
             import pygame
     except ImportError as error:
-        raise ConfigError("a window needs pygame, which is not installed; pip install 'carrl[render]'") from error
+        raise ConfigError(_NO_PYGAME) from error
     return pygame

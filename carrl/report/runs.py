@@ -14,7 +14,7 @@ from typing import Any
 
 from carrl.config import MOST
 from carrl.errors import CarrlError, CheckpointError, shown
-from carrl.train.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, read_config, read_text
+from carrl.train.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, read_config, read_text, seed_folders
 
 Wanted = Mapping[str, tuple[type, ...]]
 _COUNT, _NUMBER, _FLAG = (int,), (int, float), (bool,)
@@ -283,15 +283,34 @@ def find_runs(roots: list[Path]) -> list[RunResult]:
     Raises:
         CheckpointError: there is none in one of them.
     """
+    found = check_have_runs(roots)
+    found -= {folder.parent for folder in found}  # a run of several seeds holds one folder for each
+    folders = sorted(found, key=in_natural_order)
+    return [read_run(folder, label) for folder, label in zip(folders, _labels(folders), strict=True)]
+
+
+def check_have_runs(roots: list[Path]) -> set[Path]:
+    """The folders below these that hold a configuration: those of runs, and those above of several seeds.
+
+    Raises:
+        CheckpointError: there is none in one of them.
+    """
     runs = {root: {config.parent.parent for config in root.rglob(str(CONFIG))} for root in roots if os.path.isdir(root)}
     empty = [root for root in roots if not runs.get(root)]
     if empty:
         names = ", ".join(f"'{root}'" for root in empty)
         raise CheckpointError(f"no run in {names}; name folders that `carrl train` has written")
-    found = set().union(*runs.values())
-    found -= {folder.parent for folder in found}  # a run of several seeds holds one folder for each
-    folders = sorted(found, key=in_natural_order)
-    return [read_run(folder, label) for folder, label in zip(folders, _labels(folders), strict=True)]
+    return set().union(*runs.values())
+
+
+def runs_of_sweep(folder: Path) -> list[RunResult]:
+    """The runs below a folder that is no run itself, nor one of several seeds; none below any other."""
+    if not os.path.isdir(folder) or os.path.lexists(folder / CONFIG) or seed_folders(folder) != [folder]:
+        return []
+    try:
+        return find_runs([folder])
+    except CheckpointError:
+        return []
 
 
 def in_natural_order(folder: Path) -> list[tuple[str, int]]:

@@ -9,8 +9,8 @@ from carrl.errors import TrackError
 from carrl.tracks.centreline import Road
 from carrl.tracks.drawing_file import DRAWINGS
 from carrl.tracks.formats import READERS, check_options, read_roads
+from carrl.tracks.names import VARIABLE, unknown_track
 
-VARIABLE = "CARRL_TRACKS"
 _PARTS = ("_centerline", "_centreline", "_raceline")
 """Endings of the names of files that belong to another one."""
 MOST_FILES = 100_000
@@ -64,19 +64,9 @@ def roads_of(name_or_path: str | Path, **options: Any) -> list[tuple[str, Road]]
         return [(name, drawing.centreline().road(drawing.gate_count))]
     path = find_file(name_or_path)
     if path is None:
-        raise TrackError(
-            f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are "
-            f"{', '.join(DRAWINGS)}, and {_others()}"
-        )
+        raise unknown_track(name)
     roads = read_roads(path, **options)
     return [(path.name if road.name is None else f"{path.name}/{road.name}", road) for road in roads]
-
-
-def _others() -> str:
-    """Where there are tracks beside the built-in ones."""
-    if os.environ.get(VARIABLE):
-        return f"none in the folders of {VARIABLE} has this name; see carrl track list"
-    return f"{VARIABLE} may list folders of others"
 
 
 def files_below(folder: Path) -> Iterator[Path]:

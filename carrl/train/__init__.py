@@ -1,5 +1,6 @@
 """A run: its trainer, folder and checkpoints. `carrl.train(...)` trains one: see `carrl.train.run.train`."""
 
+import inspect
 import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,13 @@ class _CallableModule(ModuleType):
         from carrl.train.run import train  # here, since it imports torch
 
         return train(*arguments, **keywords)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        """What it takes, for `inspect.signature` and what shows it while one types."""
+        from carrl.train.run import train
+
+        return inspect.signature(train)
 
 
 sys.modules[__name__].__class__ = _CallableModule

@@ -16,7 +16,7 @@ from carrl.data.collector import Collector, WorkerParts
 from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.source import Logged, Simulated, Source
 from carrl.env.track_env import TrackEnv
-from carrl.errors import CheckpointError, ConfigError, shown
+from carrl.errors import CheckpointError, ConfigError
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import fitted
 from carrl.task.end import End
@@ -30,7 +30,7 @@ from carrl.tracks.track import Track
 from carrl.train.checkpoint import load_checkpoint
 from carrl.train.files import CONFIG, checkpoint_path
 from carrl.train.learner import Learner
-from carrl.train.plan import EvaluationPlan, Limits, OfflinePlan, TrainingPlan
+from carrl.train.plan import EvaluationPlan, Limits, OfflinePlan, TrainingPlan, checked_flag, no_such_device
 
 Config = Mapping[str, Any]
 DEFAULT_ALGORITHM = {"_target_": "carrl.algorithms.dqn.dqn.DQNRecipe"}
@@ -71,7 +71,7 @@ def build_pipeline(config: Config) -> Pipeline:
         CarrlError: a part refuses its values, or a log cannot be read or does not fit the configuration.
     """
     device = _checked_device(config["device"])
-    compiled = _checked_flag("compile", config["compile"])
+    compiled = checked_flag("compile", config["compile"])
     offline: OfflinePlan | None = build_node("data", config["data"]) if learns_from_logs(config) else None
     if offline and _has_n_step_returns(config):
         raise ConfigError(
@@ -274,11 +274,5 @@ def _checked_device(name: str) -> torch.device:
         device = torch.device(name)
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise ConfigError(f"device is '{name}', which torch cannot use here; set device=cpu") from error
+        raise no_such_device(name) from error
     return device
-
-
-def _checked_flag(name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ConfigError(f"{name} is {shown(value)}; it must be true or false")
-    return value

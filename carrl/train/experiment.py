@@ -14,8 +14,8 @@ import torch
 import yaml
 from torchrl import logger as torchrl_logger
 
-from carrl.config import build_node, foreign_targets, is_whole_number, module_of, name_for_trust
-from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
+from carrl.config import build_node, foreign_targets, module_of, name_for_trust
+from carrl.errors import CarrlError, CheckpointError
 from carrl.evaluation.results import Rollout
 from carrl.log.writer import LogWriter
 from carrl.sim.drivability import Car, unsuitable
@@ -29,6 +29,7 @@ from carrl.train.checkpoint import StateFile
 from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, Inputs, check_inputs, checksums, write_text
 from carrl.train.folder import RunFolder, check_tables
 from carrl.train.new_folder import LOCK, check_holds_no_run, locked
+from carrl.train.plan import checked_threads
 from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
 from carrl.train.trainer import Trainer
@@ -36,8 +37,6 @@ from carrl.train.trainer import Trainer
 Config = dict[str, Any]
 Summary = dict[str, Any]
 """What `summary.json` holds."""
-MOST_THREADS = 1024
-"""More than any machine has cores; torch takes no number of more than 31 bits."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class Experiment:
             CarrlError: whatever ended the run before its time.
         """
         torchrl_logger.setLevel("WARNING")
-        torch.set_num_threads(_checked_threads(self.config["threads"]))
+        torch.set_num_threads(checked_threads(self.config["threads"]))
         with _naming_exhaustion(), ExitStack() as stack:
             try:
                 trainer = self._prepare(state, stack)
@@ -219,17 +218,6 @@ def _train(trainer: Trainer, callbacks: Sequence[Callback]) -> None:
     except KeyboardInterrupt:  # how `interrupt` ends a compilation
         if not trainer.stopping:
             raise
-
-
-def _checked_threads(threads: Any) -> int:
-    """The number of threads.
-
-    Raises:
-        ConfigError: it is none.
-    """
-    if not is_whole_number(threads) or not 1 <= threads <= MOST_THREADS:
-        raise ConfigError(f"threads is {shown(threads)}; it must be a whole number from 1 to {MOST_THREADS}")
-    return int(threads)
 
 
 def _write(path: Path, text: str) -> None:

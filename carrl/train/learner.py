@@ -54,6 +54,9 @@ class Learner:
         buffer: with the memories of all replicates.
         compiled: make the updates natively. Where that cannot be done, they run eagerly, and one line says why.
         frames_per_update: env steps of each replicate for one update of its networks.
+
+    Attributes:
+        compiling_since: the monotonic time since which updates are being compiled; None while they are not.
     """
 
     def __init__(
@@ -68,7 +71,8 @@ class Learner:
         self._kind: str | None = None if compiled else EAGER  # not known before it was tried
         self.updates = 0
         self.first_update_at: float | None = None
-        self._is_compiling = self._is_interrupted = False
+        self.compiling_since: float | None = None
+        self._is_interrupted = False
         self.losses = torch.full([len(algorithm.seeds)], math.nan)
         self.divergences: dict[int, Divergence] = {}
 
@@ -116,7 +120,7 @@ class Learner:
         Raises:
             KeyboardInterrupt: there is one; `learn` raises it, too.
         """
-        if self._is_compiling:
+        if self.compiling_since is not None:
             self._is_interrupted = True
             raise KeyboardInterrupt
 
@@ -161,7 +165,7 @@ class Learner:
             self.divergences.setdefault(index, divergence)
 
     def _try_to_compile(self) -> None:
-        self._is_compiling = True
+        self.compiling_since = time.monotonic()
         buffer = self._buffer
         try:
             memory, weighted = memory_of(buffer), buffer.sampler.is_weighted
@@ -173,7 +177,7 @@ class Learner:
                 _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
             self._compiles = False
         finally:
-            self._is_compiling = False
+            self.compiling_since = None
         if self._is_interrupted:  # torchrl 0.14 makes an error of its own of a KeyboardInterrupt that is raised in it
             raise KeyboardInterrupt
         self._note_kind(COMPILED if self._native else EAGER)

@@ -1,19 +1,28 @@
-"""What a run is to do: how long, by which replicates, on what, and how often it is evaluated."""
+"""What a run is to do: how long, by which replicates, on what, and how often it is evaluated.
 
-from collections.abc import Sequence
+Nothing here waits for torch, and `check_early` finds what need not wait for it to be refused.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carrl.config import is_whole_number, whole
+from carrl.config import build_node, is_whole_number, whole
 from carrl.errors import ConfigError, shown
-from carrl.evaluation.rollout import MOST_LAPS
+from carrl.evaluation.asked import MOST_LAPS
+from carrl.log.reader import Log
+from carrl.tracks.names import check_may_exist
 
 MOST_REPLICATES = 4096
 """That train side by side."""
 MOST_STARTS = 1000
 """On each circuit, of an evaluation."""
 LARGEST_SEED = 2**63 - 1
+MOST_THREADS = 1024
+"""More than any machine has cores; torch takes no number of more than 31 bits."""
+_DEVICES = r"(cpu|cuda|hip|hpu|meta|mps|mtia|xla|xpu)(:\d+)?"
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,33 @@ def checked_seed(seed: Any) -> int:
         remedy = f"; write {shown(whole(seed))}" if isinstance(seed, float) and is_whole_number(whole(seed)) else ""
         raise ConfigError(f"seed is {shown(seed)}; it must be a whole number of at least 0 and less than 2^63{remedy}")
     return int(seed)
+
+
+def checked_threads(threads: Any) -> int:
+    """The number of threads.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not is_whole_number(threads) or not 1 <= threads <= MOST_THREADS:
+        raise ConfigError(f"threads is {shown(threads)}; it must be a whole number from 1 to {MOST_THREADS}")
+    return int(threads)
+
+
+def checked_flag(name: str, value: Any) -> bool:
+    """The value, which is true or false.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    if not isinstance(value, bool):
+        raise ConfigError(f"{name} is {shown(value)}; it must be true or false")
+    return value
+
+
+def no_such_device(name: Any) -> ConfigError:
+    """The error of a device that there is not."""
+    return ConfigError(f"device is {shown(name)}, which torch cannot use here; set device=cpu")
 
 
 def _expand(entry: int | str) -> list[int]:
@@ -150,3 +186,26 @@ class OfflinePlan:
     def paths(self) -> list[Path]:
         """The logs."""
         return [Path(path) for path in ([self.path] if isinstance(self.path, str) else self.path)]
+
+
+def check_early(config: Mapping[str, Any]) -> None:
+    """Refuses what a run cannot do, as far as that shows before torch is imported; what builds the run checks the rest.
+
+    Raises:
+        CarrlError: a plan, a seed, a device, a track or a log cannot be.
+    """
+    checked_flag("compile", config["compile"])
+    checked_threads(config["threads"])
+    if not re.fullmatch(_DEVICES, str(config["device"])):
+        raise no_such_device(config["device"])
+    plan: TrainingPlan = build_node("trainer", config["trainer"])
+    plan.replicate_seeds(config["seed"])
+    if config["track"].get("_target_") == "carrl.tracks.track.Track.load":
+        check_may_exist(str(config["track"].get("name_or_path")))
+    if not config.get("data"):
+        build_node("evaluation", config["evaluation"])
+        return
+    offline: OfflinePlan = build_node("data", config["data"])
+    for path in offline.paths:
+        with Log(path):  # which reads where everything is
+            pass

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar, get_args
+from typing import Any, Self, TypeVar, get_args
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ import yaml
 from torch import Tensor
 
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
+from carrl.evaluation.asked import PolicyName
 from carrl.evaluation.baselines import random_policy, rule_of
 from carrl.evaluation.document import Laps, checked_limits, evaluation_figures
 from carrl.evaluation.follow_the_gap import follow_the_gap_of
@@ -38,7 +39,6 @@ from carrl.train.plan import checked_seed
 from carrl.train.resumption import resume as resumption_of
 
 Array = TypeVar("Array", Tensor, np.ndarray[Any, Any])
-PolicyName = Literal["greedy", "rule", "random", "follow_the_gap", "line"]
 
 
 class Run:

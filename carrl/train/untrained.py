@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carrl.errors import ConfigError
+from carrl.evaluation.asked import PolicyName
 from carrl.train.composition import composed
 from carrl.train.overrides import check_is_read, readable_overrides
-from carrl.train.run import PolicyName, Run
+from carrl.train.run import Run
 
 READ = ("experiment", "track", "vehicle", "sensor", "reward")
 """Groups of the configuration that baselines and their figures depend on."""

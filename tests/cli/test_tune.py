@@ -9,7 +9,7 @@ import pytest
 from carrl.cli.main import main
 from carrl.cli.tune import Choice, Range, _read_by_training, parse_search_space
 from carrl.errors import ConfigError
-from carrl.train.replicate_run import OBJECTIVES
+from carrl.train.objectives import OBJECTIVES
 
 needs_optuna = pytest.mark.skipif(find_spec("optuna") is None, reason="optuna is absent: pip install 'carrl[tune]'")
 TINY = ["experiment=tune", "compile=false", "track=oval", "trainer.seeds=null", "trainer.frames=32"]
@@ -107,7 +107,7 @@ class Training:
 
 @pytest.fixture
 def judge_of():
-    from carrl.cli.tune import PruningCallback
+    from carrl.cli.trials import PruningCallback
 
     config = {"trainer": {"frames": 1000}, "evaluation": {"interval": 250}}
     return lambda trial, objective="first_lap": PruningCallback(trial, OBJECTIVES[objective], config)

@@ -1,5 +1,6 @@
 """The driving task as TorchRL sees it."""
 
+import inspect
 import multiprocessing
 import pickle
 from functools import partial
@@ -496,3 +497,12 @@ def test_an_environment_and_a_track_tell_of_themselves_in_one_line():
     assert repr(track) == f"Track('oval', {track.length:.1f} m, {track.gate_count} gates)"
     assert repr(TrackEnv(track, num_envs=3)) == "TrackEnv('oval', cars=3, rays=7, max_steps=1000, device='cpu')"
     assert repr(TrackEnv(["oval", "paper"])).startswith("TrackEnv(['oval', 'paper'], cars=1, rays=7, ")
+
+
+def test_what_it_takes_is_shown_though_torchrl_hides_it():
+    class Longer(TrackEnv):
+        def __init__(self, track="oval", laps=2):
+            super().__init__(track, max_steps=1000 * laps)
+
+    assert list(inspect.signature(TrackEnv).parameters)[:4] == ["track", "num_envs", "device", "seed"]
+    assert list(inspect.signature(Longer).parameters) == ["track", "laps"]

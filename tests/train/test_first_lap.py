@@ -15,7 +15,8 @@ from carrl.report.text import runs_table
 from carrl.train.build import build_pipeline
 from carrl.train.callbacks import Evaluator
 from carrl.train.folder import RunFolder
-from carrl.train.replicate_run import OBJECTIVES, FirstLap, ReplicateRun, TrainingStatus
+from carrl.train.objectives import OBJECTIVES
+from carrl.train.replicate_run import FirstLap, ReplicateRun, TrainingStatus
 from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.data.logs import write_log

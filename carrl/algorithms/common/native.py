@@ -109,7 +109,9 @@ def _compile(
     graph: GraphModule, inputs: Sequence[Tensor], folder: Path, cache: Path, fingerprint: str
 ) -> NativeFunction:
     """Compiles in the workspace and keeps what can be loaded; several processes may compile the same at once."""
-    _logger.warning("Compiling for this machine; this takes about half a minute, once.")
+    _logger.warning(
+        "Compiling the updates takes about half a minute; later runs with such networks and losses start at once."
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # torch 2.13's exporter warns of torch's own code
         program = torch.export.export(graph, tuple(inputs))

@@ -2,8 +2,10 @@
 
 import math
 import os
+import shlex
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,11 +19,13 @@ from rich.text import Text
 
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
 from carrl.cli.text.many_runs import print_table
+from carrl.cli.text.next_steps import print_next
 from carrl.errors import printable
 from carrl.evaluation.results import styles_of
 from carrl.report.runs import missing_lap
 from carrl.train.callbacks import Callback
 from carrl.train.experiment import road_warning
+from carrl.train.files import LOG
 from carrl.train.replicate_run import RECENT_EPISODES
 from carrl.train.trainer import Trainer
 
@@ -71,12 +75,22 @@ class ProgressDisplay(Callback):
 
     def on_start(self, trainer: Trainer) -> None:
         """Begins to draw."""
+        self._trainer = trainer
         self._bar = Progress(SpinnerColumn(), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
         self._task = self._bar.add_task("", total=1.0)
         self._figures = Text()
         self._console = Console(stderr=True)
-        self._live = Live(Group(self._bar, self._figures), console=self._console, refresh_per_second=4)
+        self._live = Live(console=self._console, refresh_per_second=4, get_renderable=self._picture)
         self._live.start()
+
+    def _picture(self) -> Group:
+        """What is drawn four times a second, also during a compilation, in which no round ends."""
+        since = self._trainer.learner.compiling_since
+        if since is None:
+            return Group(self._bar, self._figures)
+        return Group(
+            self._bar, self._figures, Text(f"  getting the updates ready for {time.monotonic() - since:.0f} s")
+        )
 
     def on_round(self, trainer: Trainer) -> None:
         """Moves the bar and the figures on."""
@@ -141,9 +155,23 @@ def print_results(config: Mapping[str, Any], summaries: Sequence[Mapping[str, An
     else:
         print_summaries(summaries, folder)
     trust = summaries[0].get("trust", ())
+    flags = "".join(f" --trust {shlex.quote(module)}" for module in trust)
     if trust:
-        flags = " ".join(f"--trust {module}" for module in trust)
-        print(printable(f"it has parts of your own; to open it again: carrl evaluate {folder} {flags}"))
+        print(printable(f"it has parts of your own, which are opened again with{flags}"))
+    _print_next(config, folder, flags)
+
+
+def _print_next(config: Mapping[str, Any], folder: Path, trust: str) -> None:
+    """Prints what to do with a run that has finished."""
+    place, drives_paper = shlex.quote(str(folder)), config["track"].get("name_or_path") == "paper"
+    steps = [(f"evaluate {place}{trust} --track {'oval' if drives_paper else 'paper'}", "drive it on another track")]
+    if config["trainer"].get("seeds") is not None:
+        steps.append((f"report {place}", "compare its seeds"))
+    elif (folder / LOG).exists():
+        steps.append((f"log replay {shlex.quote(str(folder / LOG))}", "watch an episode of its training in a browser"))
+    else:
+        steps.append((f"report {place} --best-lap", "see how far it is from the best possible lap"))
+    print_next(*steps)
 
 
 def print_summary(summary: Mapping[str, Any], folder: Path) -> None:

@@ -4,6 +4,7 @@ SweepConsole tells of a sweep's jobs, TuningConsole of a study's trials. Nothing
 """
 
 import math
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from carrl.cli.text.next_steps import print_next
 from carrl.errors import printable
 from carrl.report.runs import missing_lap
 from carrl.train.sweep import JobNote, SweepFolder, read_summaries
@@ -75,7 +77,13 @@ class SweepConsole:
         for note in notes.values():
             if note.error is not None:
                 console.print(escape(printable(f"failed: {note.name}: {note.error}")))
-        console.print(escape(printable(f"results in {sweep.path}; compare them: carrl report {sweep.path}")))
+        console.print(escape(printable(f"results in {sweep.path}")))
+        place = shlex.quote(str(sweep.path))
+        if any(note.state.startswith("finished") for note in notes.values()):
+            print_next(
+                (f"report {place} --out report", "compare them, with figures"),
+                (f"evaluate {place} --track serpentine", "drive them all on another track"),
+            )
 
     def _told(self, folder: Path, note: JobNote, notes: Any) -> str:
         if note.state == "running":

@@ -1,0 +1,28 @@
+"""What to type next, at the end of a command; nothing here waits for torch."""
+
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+from carrl.errors import printable
+
+
+def print_next(*steps: tuple[str, str]) -> None:
+    """Prints commands, given without `carrl`, each with what it does."""
+    lines = [(f"{carrl_command()} {command}", what) for command, what in steps]
+    width = max(len(line) for line, _ in lines)
+    print("next:")
+    for line, what in lines:
+        print(printable(f"  {line:<{width}}  {what}"))
+
+
+def carrl_command() -> str:
+    """How `carrl` is called here: by its name if the shell finds it, else by its path, as right after scripts/train."""
+    if shutil.which("carrl") is not None:
+        return "carrl"
+    script = Path(sys.executable).absolute().with_name("carrl")
+    if not script.is_file():
+        return "carrl"
+    here = Path.cwd()
+    return shlex.quote(str(script.relative_to(here) if script.is_relative_to(here) else script))
