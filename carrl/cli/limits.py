@@ -47,13 +47,14 @@ def limits_for(arguments: argparse.Namespace, tracks: "Sequence[Track]", vehicle
     Raises:
         CarrlError: one cannot be found.
     """
+    asked: dict[str, float] = arguments.limits
     if AUTO not in arguments.limit:
-        return arguments.limits  # type: ignore[no-any-return]
+        return asked
     from carrl.racing.kept_laps import minimum_lap_times
 
     _show_searches()
-    others = [track for track in tracks if track.name not in arguments.limits]
-    return {**arguments.limits, **minimum_lap_times(others, vehicle)}
+    others = [track for track in tracks if track.name not in asked]
+    return {**asked, **minimum_lap_times(others, vehicle)}
 
 
 def _show_searches() -> None:
