@@ -51,10 +51,10 @@ def run_lap_time(arguments: argparse.Namespace) -> int:
     """Finds it, and returns 1 where a check fails."""
     if "=" not in arguments.track:
         check_may_exist(arguments.track)
+    _check_flags(arguments)
     from carrl.racing.checks import check_lap
     from carrl.racing.kept_laps import kept_lap
 
-    _check_flags(arguments)
     arguments.track, vehicle = _track_and_vehicle([arguments.track, *arguments.overrides])
     track = load_as_said(arguments)
     lap = kept_lap(track, vehicle, arguments.spacing, arguments.margin, arguments.quick)
