@@ -38,6 +38,25 @@ def appearing_whole(path: str | Path, error: type[CarrlError] = CarrlError) -> I
             partial.unlink()
 
 
+def check_may_appear(path: str | Path, error: type[CarrlError] = CarrlError) -> None:
+    """Tells before long work what `appearing_whole` would tell after it.
+
+    Raises:
+        CarrlError: or the kind of it that `error` is: the path is a folder, or is in none that may be written to.
+    """
+    path, reason = Path(path), 0
+    if path.is_dir():
+        reason = errno.EISDIR
+    elif not path.parent.exists():
+        reason = errno.ENOENT
+    elif not path.parent.is_dir():
+        reason = errno.ENOTDIR
+    elif not os.access(path.parent, os.W_OK):
+        reason = errno.EACCES
+    if reason:
+        raise error(f"'{path}' cannot be written: {os.strerror(reason)}; choose another place")
+
+
 def remove_left_overs(*folders: Path) -> None:
     """Removes what killed processes left of files that they were writing in these folders, which may be missing."""
     for folder in folders:

@@ -13,6 +13,7 @@ from carrl.cli.limits import asked_limits, limits_for
 from carrl.cli.parser import Parser, add_trust
 from carrl.errors import ConfigError, printable
 from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS, PolicyName
+from carrl.files import check_may_appear
 from carrl.report.runs import RunResult, runs_of_sweep
 from carrl.task.checks import whole_number
 from carrl.tracks.names import check_may_exist
@@ -101,6 +102,8 @@ def _check_figures(arguments: argparse.Namespace) -> None:
     whole_number("starts", arguments.starts, 1, MOST_STARTS)
     whole_number("laps", arguments.laps, 1, MOST_LAPS)
     arguments.limits = asked_limits(arguments.limit)
+    if arguments.speed_trace is not None:
+        check_may_appear(arguments.speed_trace)
 
 
 def _check_what_drives(arguments: argparse.Namespace) -> list[RunResult]:

@@ -13,6 +13,7 @@ import numpy as np
 from carrl.cli.parser import Parser
 from carrl.cli.track_convert import add_reading_flags, load_as_said
 from carrl.errors import CarrlError, printable
+from carrl.files import check_may_appear
 
 if TYPE_CHECKING:
     from carrl.racing.laps import Lap
@@ -33,7 +34,9 @@ def main(argv: list[str]) -> int:
     """Prints the laps' times and writes what was asked for."""
     arguments = _parser().parse_intermixed_args(argv)
     outs = [Path(out) for out in arguments.out]
-    for out in outs:
+    for number, out in enumerate(outs):
+        if out in outs[:number]:
+            raise CarrlError(f"--out is given twice for '{out}'; leave one of them out")
         _check(out, arguments.laps)
     from carrl.evaluation.lap_files import read_laps
 
@@ -79,13 +82,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(out: Path, sources: Sequence[str]) -> None:
-    """Raises CarrlError where a file has no ending that is known, or is one of those that are read."""
+    """Raises CarrlError where a file has no ending that is known, is one of those that are read, or has no place."""
     if out.suffix.lower() not in WRITERS:
         raise CarrlError(f"--out is '{out}'; its name must end in one of: {', '.join(WRITERS)}")
     for source in sources:
         with suppress(OSError, ValueError):  # whoever opens them says what is wrong
             if out.samefile(source):
                 raise CarrlError(f"--out is '{out}', a lap that is to be read; choose another name")
+    check_may_appear(out)
 
 
 def _write(out: Path, track: "Track", laps: "Sequence[Lap]") -> None:

@@ -60,6 +60,8 @@ def _run(arguments: list[str]) -> int:
         print(WELCOME)
         return 0
     verb = arguments[0]
+    if verb in ("-h", "--help", "--version") and len(arguments) > 1:
+        raise CarrlError(f"'{arguments[1]}' has no effect beside {verb}; leave it out, or type carrl VERB --help")
     if verb in ("-h", "--help"):
         print(USAGE)
         return 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from carrl.cli.track_convert import add_reading_flags, load_as_said
 from carrl.errors import ConfigError, TrackError
+from carrl.files import check_may_appear
 from carrl.tracks.names import check_may_exist
 
 if TYPE_CHECKING:
@@ -50,10 +51,10 @@ def run_lap_time(arguments: argparse.Namespace) -> int:
     """Finds it, and returns 1 where a check fails."""
     if "=" not in arguments.track:
         check_may_exist(arguments.track)
+    _check_flags(arguments)
     from carrl.racing.checks import check_lap
     from carrl.racing.kept_laps import kept_lap
 
-    _check_flags(arguments)
     arguments.track, vehicle = _track_and_vehicle([arguments.track, *arguments.overrides])
     track = load_as_said(arguments)
     lap = kept_lap(track, vehicle, arguments.spacing, arguments.margin, arguments.quick)
@@ -82,12 +83,14 @@ def _check_flags(arguments: argparse.Namespace) -> None:
         raise ConfigError("--force is for --csv, which is not given; leave it out")
     if arguments.png is not None:
         picture_format(arguments.png, "--png")
+        check_may_appear(arguments.png)
     if arguments.csv is not None:
         path = Path(arguments.csv)
         if path.suffix.lower() != ".csv":
             raise TrackError(f"--csv is '{path}'; its name must end in .csv")
         if path.exists() and not arguments.force:
             raise TrackError(f"'{path}' is there already; choose another --csv, or --force to replace it")
+        check_may_appear(path)
 
 
 def _track_and_vehicle(words: list[str]) -> tuple[str, "VehicleModel"]:

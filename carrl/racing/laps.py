@@ -28,6 +28,8 @@ SECTORS = 3
 """Of a lap, each a third of the centreline."""
 OFF_THE_ROAD = 1.5
 """A car so many times as far from the centreline as the wall is was driven on another road."""
+LONGEST = 3600.0
+"""Of a lap, s: with more between its first and its last moment it is none."""
 AT_REST = 0.5
 """A car that is slower than this at the start line, m/s, begins from rest."""
 
@@ -64,8 +66,15 @@ class Lap:
             speed: [M], m/s.
 
         Raises:
-            TrackError: the moments are not on this road, or begin elsewhere.
+            TrackError: the moments are not on this road, begin elsewhere, or take longer than `LONGEST`.
         """
+        if time[-1] - time[0] > LONGEST:
+            raise TrackError(
+                f"lap '{name}': it takes {time[-1] - time[0]:,.0f} s; it may take at most {LONGEST:,.0f} s, so correct "
+                "its times"
+            )
+        if np.abs(poses[:, :2] - track.centreline[0].numpy()).max() > track.length:  # far beyond any wall
+            raise _left_the_road(name, track)
         fine = np.linspace(time[0], time[-1], max(2, 1 + int(np.ceil((time[-1] - time[0]) / FINEST))))
         places, heading = poses[:, :2], np.unwrap(poses[:, 2])
         between = CubicHermiteSpline(time, places, np.gradient(places, time, axis=0))(fine)
@@ -74,9 +83,7 @@ class Lap:
         longest = float(np.linalg.norm(np.diff(between, axis=0), axis=1).max())
         stations, sides = stations_along(track, torch.from_numpy(poses), 0.0, longest)
         if np.abs(sides).max() > OFF_THE_ROAD:
-            raise TrackError(
-                f"lap '{name}': it leaves the road of track '{track.name}'; name the track where it was driven"
-            )
+            raise _left_the_road(name, track)
         station = np.unwrap(stations.astype(np.float64), period=track.length)
         station -= track.length * np.round(station[0] / track.length)
         if abs(station[0]) > 0.01 + speed[0] * np.diff(time).max():
@@ -140,6 +147,10 @@ class Lap:
             times = np.append(times, times[-1] + missing / self.speed[-1])
             stations = np.append(stations, self.length)
         return times, stations
+
+
+def _left_the_road(name: str, track: Track) -> TrackError:
+    return TrackError(f"lap '{name}': it leaves the road of track '{track.name}'; name the track where it was driven")
 
 
 def _time_at_line(time: Floats, station: Floats, speed: Floats) -> float:

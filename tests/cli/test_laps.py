@@ -58,12 +58,15 @@ def test_it_writes_what_the_names_end_in(capsys, folder):
         (["oval", "fast.csv", "--out", "./fast.csv"], "--out is 'fast.csv'; its name must end in one of"),
         (["oval", "fast.csv", "--video", "laps.mp4"], "unrecognized arguments: --video"),
         (["oval", "fast.csv", "--out", "no/folder.html"], "no/folder.html"),
+        (["oval", "fast.csv", "--out", "a.png", "--out", "a.png"], "--out is given twice for 'a.png'"),
+        (["oval", "fast.csv", "--out", "a.png", "--out", "fast.csv/b.html"], "Not a directory; choose another place"),
     ],
 )
-def test_a_mistake_is_one_sentence(arguments, says, capsys):
+def test_a_mistake_is_one_sentence(arguments, says, capsys, folder):
     assert main(["laps", *arguments]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
+    assert not list(folder.glob("*.png"))
 
 
 def test_a_lap_that_is_read_is_not_written_over(capsys, folder):

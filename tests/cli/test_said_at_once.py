@@ -13,7 +13,13 @@ from carrl.cli.text import next_steps
 HEAVY = ("torch", "torchrl", "tensordict", "scipy", "shapely", "matplotlib", "numba", "gymnasium")
 HELPS = [[], ["--help"], ["--version"], *([verb, "--help"] for verb in VERBS)]
 REFUSALS = [
+    "--help evaluate",
+    "--version evaluate",
     "evaluate nowhere",
+    "evaluate --policy rule --speed-trace nowhere/trace.csv",
+    "laps oval lap.csv --out nowhere/laps.mp4",
+    "track lap-time oval --csv nowhere/line.csv",
+    "track lap-time oval --png nowhere/line.png",
     "evaluate --policy rule --track nowhere.csv",
     "evaluate --policy rule --starts 0",
     "evaluate --policy rule --laps 0",

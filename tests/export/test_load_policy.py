@@ -29,6 +29,7 @@ def test_one_car_is_driven_as_it_is_among_many(exports):
     [
         ({"rays": [1.0] * 7}, "the policy's inputs are rays, last_action, not rays"),
         ({"rays": [1.0] * 6, "last_action": 0}, r"input rays is .* the shape \[6\]; it must be .* shape \[7\]"),
+        ({"rays": [[1.0] * 7, [1.0]], "last_action": 0}, "input rays is no array; its rows must be of one length"),
         ({"rays": ["a"] * 7, "last_action": 0}, "input rays is <U1"),
         ({"rays": [1.0] * 7, "last_action": 3}, "input last_action is 3; actions are 0 to 2"),
         ({"rays": [1.0] * 7, "last_action": 0.5}, "input last_action is 0.5; actions are 0 to 2"),
@@ -48,6 +49,25 @@ def test_a_driver_starts_anew_after_a_reset(exports):
     assert not np.allclose(driver(rays=second, speed=3.0)["action"], fresh)
     driver.reset()
     np.testing.assert_array_equal(driver(rays=second, speed=3.0)["action"], fresh)
+
+
+def test_a_driver_takes_earlier_scans_and_forgets_what_was_refused(exports):
+    policy = carrl.load_policy(exports.file("f1tenth", "npz"))
+    driver, fresh = policy.driver(), policy.driver()
+    rays = np.full(20, 2.0, np.float32)
+    for refused in ({"rays": 2.0, "speed": 3.0}, {"rays": [2.0] * 21, "speed": 3.0}, {"rays": rays, "speed": np.nan}):
+        with pytest.raises(ConfigError, match=r"input (rays|speed) is"):
+            driver(**refused)
+    np.testing.assert_array_equal(driver(rays=rays, speed=3.0)["action"], fresh(rays=rays, speed=3.0)["action"])
+    shape = next(each["shape"] for each in policy.metadata["inputs"] if each["name"] == "previous_rays")
+    given = policy.driver()(rays=rays, previous_rays=np.full(shape, 2.0), speed=3.0)
+    np.testing.assert_array_equal(given["action"], policy.driver()(rays=rays, speed=3.0)["action"])
+
+
+@pytest.mark.parametrize("speed", [np.nan, 1e300])
+def test_inputs_but_rays_must_be_finite(exports, speed):
+    with pytest.raises(ConfigError, match=r"input speed is .*; it must be finite"):
+        carrl.load_policy(exports.file("f1tenth", "npz")).driver()(rays=[np.nan] * 20, speed=speed)
 
 
 @pytest.mark.parametrize(

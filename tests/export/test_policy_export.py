@@ -227,6 +227,14 @@ def test_the_same_run_gives_the_same_bytes(exports, tmp_path):
         assert again.read_bytes() == exports.file("paper", kind).read_bytes()
 
 
+@pytest.mark.parametrize("name", ['a "car" %s.h', "9 ü.h"])
+def test_a_header_may_have_any_name(exports, name, tmp_path, capsys):
+    assert main(["export", str(exports.run("paper")), "--format", "c", "--out", str(tmp_path / name)]) == 0
+    assert not capsys.readouterr().err
+    prefix = "a__car___s" if name.startswith("a") else "policy_9__"
+    assert f"void {prefix}_act(" in (tmp_path / name).read_text()
+
+
 def test_the_command_prints_inputs_and_outputs_with_their_units(exports, tmp_path, capsys):
     out = tmp_path / "car.npz"
     assert main(["export", str(exports.run("f1tenth")), "--format", "npz", "--out", str(out)]) == 0

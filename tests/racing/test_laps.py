@@ -81,3 +81,15 @@ def test_a_lap_of_another_road_is_refused(road):
 def test_a_lap_that_begins_elsewhere_is_refused(road):
     with pytest.raises(TrackError, match=r"begins 20\.0 m along the road of track 'ring'; it must begin at the start"):
         steady_lap(road, 10.0, begin=20.0)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "says"),
+    [(0, 1e12, "it takes 1,000,000,000,000 s; it may take at most 3,600 s"), (1, 1e300, "it leaves the road")],
+)
+def test_times_and_places_beyond_all_measure_are_refused(road, column, value, says):
+    times, poses, speeds = steady(road, 20.0)
+    table = np.column_stack([times, poses])
+    table[-1, column] = value
+    with pytest.raises(TrackError, match=says):
+        Lap.of("lap", road, table[:, 0], table[:, 1:], speeds)

@@ -14,7 +14,7 @@ from carrl.export.policy.header import identifier, write_header
 from carrl.export.policy.loaded import load_policy
 from carrl.export.policy.program import write_onnx, write_program
 from carrl.export.policy.verify import compiled_header, scratch, verify
-from carrl.files import write_whole
+from carrl.files import check_may_appear, write_whole
 from carrl.task.task import World
 from carrl.train.build import build_world, greedy_policy, load_network
 from carrl.train.run import Run
@@ -64,6 +64,7 @@ def export_policy(
     path = one.folder / f"policy{FORMATS[format]}" if out is None else Path(out)
     if path.suffix != FORMATS[format]:
         raise ConfigError(f"'{path}' is no name for the format {format}; it must end in {FORMATS[format]}")
+    check_may_appear(path)
     world = build_world({**one.config, "track": ANY_TRACK})
     network = load_network(one.folder, checkpoint, one.config, world)
     about = {"run": str(one.folder), "seed": one.config["seed"], "checkpoint": checkpoint}
@@ -74,16 +75,15 @@ def export_policy(
             f"the network has layers that the format {format} does not know: {types}; choose onnx or torch"
         )
     with scratch() as folder:
-        draft = Path(folder) / path.name
-        is_verified = _write(draft, format, graph, greedy_policy(network, one.config), world)
+        draft = Path(folder) / f"policy{FORMATS[format]}"  # whatever a C compiler may think of the file's own name
+        is_verified = _write(draft, format, identifier(path.stem), graph, greedy_policy(network, one.config), world)
         write_whole(path, draft.read_bytes())
     return Exported(path, graph.document, is_verified)
 
 
-def _write(draft: Path, format: str, graph: PolicyGraph, policy: Policy, world: World) -> bool:
-    """Writes a file, and compares it with our own policy if that is possible."""
+def _write(draft: Path, format: str, name: str, graph: PolicyGraph, policy: Policy, world: World) -> bool:
+    """Writes a file, and compares it with our own policy if that is possible; in C its names begin with `name`."""
     if format == "c":
-        name = identifier(draft.stem)
         write_header(draft, graph, name)
         compute = compiled_header(draft, name, graph.document, draft.parent)
         if compute is None:

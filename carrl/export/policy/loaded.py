@@ -18,6 +18,8 @@ from carrl.files import read_whole
 Arrays = dict[str, np.ndarray]
 MAX_BYTES = 2**30
 """Of a file that is read; the greatest network has 256 MiB."""
+RANGES = ("rays", "previous_rays")
+"""Inputs of which an infinite value, or one that is not a number, is no echo."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,10 @@ class LoadedPolicy:
             inputs: by the names and of the shapes that `metadata["inputs"]` tells; with B in front for many cars.
 
         Raises:
-            ConfigError: one is missing, unknown, or of another shape, or there is no such action.
+            ConfigError: one is missing, unknown, of another shape or, but for rays, not finite, or there is no such
+                action.
         """
-        given = {name: np.asarray(values) for name, values in inputs.items()}
+        given = _arrays(inputs)
         wanted = {each["name"]: each for each in self.metadata["inputs"]}
         if given.keys() != wanted.keys():
             raise ConfigError(f"the policy's inputs are {', '.join(wanted)}, not {', '.join(given) or 'none'}")
@@ -64,7 +67,11 @@ class LoadedPolicy:
             most = len(self.metadata["actions"]) - 1
             if values.dtype.kind == "f" or not ((values >= 0) & (values <= most)).all():
                 raise ConfigError(f"the policy's input {name} is {shown(values.tolist())}; actions are 0 to {most}")
-        return np.ascontiguousarray(values.reshape(*cars, *wanted["shape"]), dtype=wanted["dtype"])
+        with np.errstate(over="ignore"):  # what is too much for float32 is infinite
+            ready = np.ascontiguousarray(values.reshape(*cars, *wanted["shape"]), dtype=wanted["dtype"])
+        if name not in RANGES and not np.isfinite(ready).all():
+            raise ConfigError(f"the policy's input {name} is {shown(values.tolist())}; it must be finite")
+        return ready
 
     def driver(self) -> "Driver":
         """What drives one car, or B at once, and remembers what the policy wants to know of the steps before."""
@@ -97,18 +104,17 @@ class Driver:
         Raises:
             ConfigError: as `LoadedPolicy` does.
         """
-        given = dict(inputs)
+        given = _arrays(inputs)
         if self._knows_action and "last_action" not in given:
             given["last_action"] = self._first_action(given) if self._action is None else self._action
         if self._scans and "rays" in given and "previous_rays" not in given:
-            newest = np.asarray(given["rays"])[..., None, :]
-            if self._rays is None:
-                self._rays = np.repeat(newest, self._scans, axis=-2)
-            given["previous_rays"] = self._rays
+            newest = np.atleast_1d(given["rays"])[..., None, :]
+            given["previous_rays"] = np.repeat(newest, self._scans, axis=-2) if self._rays is None else self._rays
         outputs = self._policy(**given)
         self._action = outputs["action"]
         if self._scans:
-            self._rays = np.concatenate([newest, given["previous_rays"]], axis=-2)[..., : self._scans, :]
+            scans = [given["rays"][..., None, :], given["previous_rays"]]
+            self._rays = np.concatenate(scans, axis=-2)[..., : self._scans, :]
         return outputs
 
     def _first_action(self, given: Mapping[str, Any]) -> np.ndarray:
@@ -119,6 +125,16 @@ class Driver:
         values = np.asarray(given[told["name"]])
         cars = values.shape[: max(0, values.ndim - len(told["shape"]))]
         return np.broadcast_to(first, (*cars, *first.shape))
+
+
+def _arrays(inputs: Mapping[str, Any]) -> Arrays:
+    arrays = {}
+    for name, values in inputs.items():
+        try:
+            arrays[name] = np.asarray(values)
+        except ValueError:  # rows of different lengths
+            raise ConfigError(f"the policy's input {name} is no array; its rows must be of one length") from None
+    return arrays
 
 
 def load_policy(path: str | Path) -> LoadedPolicy:
