@@ -34,6 +34,8 @@ ELSEWHERE = {
     "logger=wandb": "needs a package: tests/train/test_scalars.py",
     "logger=mlflow": "needs a package: tests/train/test_scalars.py",
     "carrl drive": "opens a window: tests/cli/test_drive.py",
+    "--policy line": "looks for two minimum laps: tests/evaluation/test_line_driver.py",
+    "| source": "needs fish: tests/cli/test_completion.py",
     "--rerun": "opens a viewer: tests/export/test_rerun_recording.py",
 }
 """What is not tried here, and where it is."""

@@ -1,7 +1,6 @@
 """`carrl report`: lines up the results of runs and compares groups of them."""
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +28,6 @@ def main(argv: list[str]) -> int:
     best_lap = None
     if arguments.best_lap:
         bin_size = BIN_SIZE if arguments.bin_size is None else arguments.bin_size
-        print(f"searching for the best lap among places {bin_size} m apart (--bin-size)", file=sys.stderr)
         best_lap = best_lap_of(findings.runs, bin_size, arguments.trust)
     if arguments.curves:
         _draw_curves(arguments.curves, findings)

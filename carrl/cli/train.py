@@ -63,7 +63,8 @@ def main(argv: list[str]) -> int:
             values = plain(config, config_folders())
             check_is_read(overrides, values)
             check_early(values)
-            check_holds_no_run(path)
+            with locked(path):  # who works there is named first
+                check_holds_no_run(path)
             _say(f"training {_in_short(values)}, in {path}")
             from carrl.cli.text.console import follow_run, print_results
             from carrl.train.experiment import Experiment
@@ -153,5 +154,5 @@ def _in_short(config: Mapping[str, Any]) -> str:
 
 def _say(sentence: str) -> None:
     """Prints the first line where torch is yet to be imported, which takes seconds in which nothing else is seen."""
-    if "torch" not in sys.modules:
+    if sys.modules.get("torch") is None:
         print(printable(sentence), file=sys.stderr, flush=True)

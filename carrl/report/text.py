@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -90,8 +91,8 @@ def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = (
     differing = next((run.label for run, world in zip(runs, worlds, strict=True) if not _alike(world, worlds[0])), None)
     if differing is not None:
         raise ConfigError(f"'{runs[0].label}' and '{differing}' were not trained with the same track, car and sensors")
-    world = worlds[0]
-    return find_best_lap(world, bin_size)
+    print(f"searching for the best lap among places {bin_size} m apart (--bin-size)", file=sys.stderr)
+    return find_best_lap(worlds[0], bin_size)
 
 
 def _alike(world: World, other: World) -> bool:

@@ -11,8 +11,8 @@ from tests.configs import compose
 
 pygame = pytest.importorskip("pygame", reason="the window needs pygame; pip install 'carrl[render]'")
 
-from carrl.cli import drive  # noqa: E402 (after the check for pygame)
 from carrl.cli.driver import PedalsDriver  # noqa: E402
+from carrl.env.gym_env import GymTrackEnv  # noqa: E402
 from carrl.errors import ConfigError  # noqa: E402
 from carrl.render.window import Window  # noqa: E402
 
@@ -106,10 +106,8 @@ def test_a_key_held_turns_the_car_until_it_is_let_go(play, capsys, key):
 
 def test_keys_become_the_actions_of_their_names(monkeypatch, play):
     taken = []
-    step = drive.GymTrackEnv.step
-    monkeypatch.setattr(
-        drive.GymTrackEnv, "step", lambda env, action: [taken.append(int(action)), step(env, action)][1]
-    )
+    step = GymTrackEnv.step
+    monkeypatch.setattr(GymTrackEnv, "step", lambda env, action: [taken.append(int(action)), step(env, action)][1])
     left, right = pygame.K_LEFT, pygame.K_RIGHT
     tap = down(left) + up(left)
     play(

@@ -89,7 +89,7 @@ REFUSED = [
     (["loss.gama=0.9"], "there is no key loss.gama; did you mean loss.gamma?"),
     (["loss=ddqn"], "loss has no option ddqn; did you mean dqn, or one of"),
     (["gradient_clipping.max_norm=0"], "gradient_clipping.max_norm is 0; it must be"),
-    (["data=log", "data.path=x.mcap", "returns.steps=3"], "returns are over several steps"),
+    (["data=log", "data.path=tests/log/version2.mcap", "returns.steps=3"], "returns are over several steps"),
     (["collector=ray", "returns.steps=3"], "collector=ray may break an episode off"),
 ]
 
