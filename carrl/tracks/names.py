@@ -27,7 +27,8 @@ def unknown_track(name_or_path: str | Path) -> TrackError:
     others = f"{VARIABLE} may list folders of others"
     if os.environ.get(VARIABLE):
         others = f"none in the folders of {VARIABLE} has this name; see carrl track list"
+    close = did_you_mean(str(name_or_path), BUILT_IN)
     return TrackError(
-        f"track '{name_or_path}': no file of this path and no built-in track of this name"
-        f"{did_you_mean(str(name_or_path), BUILT_IN)}; the built-in ones are {', '.join(BUILT_IN)}, and {others}"
+        f"track '{name_or_path}': no file of this path and no built-in track of this name{close or ';'} the built-in "
+        f"ones are {', '.join(BUILT_IN)}, and {others}"
     )

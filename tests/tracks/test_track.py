@@ -373,11 +373,18 @@ def test_a_folder_is_refused_as_a_folder(tmp_path: Path):
         Track.load(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["nowhere.csv", "Oval", "paper ", "a" * 5000, "a\0b"])
-def test_a_name_of_neither_a_file_nor_a_builtin_track_is_answered_with_the_names_there_are(name: str):
-    message = (
-        f"track '{name}': no file of this path and no built-in track of this name; the built-in ones are oval, paper"
-    )
+@pytest.mark.parametrize(
+    ("name", "close"),
+    [
+        ("nowhere.csv", ";"),
+        ("Oval", "; did you mean oval?"),
+        ("paper ", "; did you mean paper?"),
+        ("a" * 5000, ";"),
+        ("a\0b", ";"),
+    ],
+)
+def test_a_name_of_neither_a_file_nor_a_builtin_track_is_answered_with_the_names_there_are(name: str, close: str):
+    message = f"track '{name}': no file of this path and no built-in track of this name{close} the built-in ones are oval"
     with pytest.raises(TrackError, match=re.escape(message)):
         Track.load(name)
 
