@@ -384,7 +384,7 @@ def test_a_folder_is_refused_as_a_folder(tmp_path: Path):
     ],
 )
 def test_a_name_of_neither_a_file_nor_a_builtin_track_is_answered_with_the_names_there_are(name: str, close: str):
-    message = f"track '{name}': no file of this path and no built-in track of this name{close} the built-in ones are oval"
+    message = f"track '{name}': no file of this path and no built-in track of this name{close} the built-in ones"
     with pytest.raises(TrackError, match=re.escape(message)):
         Track.load(name)
 
