@@ -4,7 +4,6 @@ import argparse
 import json
 import os
 import platform
-import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +13,9 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 import carrl
 from carrl.cache import CacheError, cache_dir, own_cache_dir
@@ -98,14 +100,13 @@ def examine() -> Iterator[Finding]:
 
 def _requirements(extra: str | None = None) -> dict[str, str]:
     """The packages of an extra, or those that are always needed, each with the versions that will do."""
-    found = {}
-    for line in requires("carrl") or ():
-        requirement, _, marker = line.partition(";")
-        own = re.search(r"extra == ['\"]([^'\"]+)['\"]", marker)
-        name = re.match(r"[\w.-]+", requirement)
-        if name is not None and (own[1] if own else None) == extra:
-            found[name[0]] = requirement[len(name[0]) :].strip()
-    return found
+    wanted = [Requirement(line) for line in requires("carrl") or ()]
+    return {
+        each.name: str(each.specifier)
+        for each in wanted
+        if (each.marker is None and extra is None)
+        or (each.marker is not None and extra is not None and each.marker.evaluate({"extra": extra}))
+    }
 
 
 def _version(package: str) -> str | None:
@@ -116,18 +117,8 @@ def _version(package: str) -> str | None:
 
 
 def _fits(found: str, wanted: str) -> bool:
-    """Whether a version is within bounds such as ">=2.13,<2.14"; only numbers between dots are compared."""
-
-    def numbers(text: str) -> tuple[int, ...]:
-        return tuple(int(part) for part in re.findall(r"\d+", text.partition("+")[0]))
-
-    own = numbers(found)
-    for bound in filter(None, wanted.split(",")):
-        limit = numbers(bound)
-        cut = own[: len(limit)]
-        if (bound.startswith(">=") and own < limit) or (bound.startswith("<") and cut >= limit):
-            return False
-    return True
+    """Whether a version is within bounds such as ">=2.13,<2.14"."""
+    return SpecifierSet(wanted).contains(found, prereleases=True)
 
 
 def _needed_packages() -> Iterator[Finding]:

@@ -1,6 +1,7 @@
 """`carrl report`: lines up the results of runs and compares groups of them."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,15 +21,18 @@ def main(argv: list[str]) -> int:
     """Prints a report in Markdown, or as JSON, and on demand writes it with its figures into a folder."""
     arguments = _parser().parse_args(argv)
     _check(arguments)
-    from carrl.report.document import as_json, write_report  # From here on it takes seconds.
+    from carrl.evaluation.best_lap import find_best_lap  # From here on it takes seconds.
+    from carrl.report.document import as_json, write_report
     from carrl.report.findings import find
-    from carrl.report.text import best_lap_of, report_text
+    from carrl.report.text import common_world, report_text
 
     findings = find(arguments.directories, arguments.baseline)
     best_lap = None
     if arguments.best_lap:
         bin_size = BIN_SIZE if arguments.bin_size is None else arguments.bin_size
-        best_lap = best_lap_of(findings.runs, bin_size, arguments.trust)
+        world = common_world(findings.runs, arguments.trust)
+        print(f"searching for the best lap among places {bin_size} m apart (--bin-size)", file=sys.stderr)
+        best_lap = find_best_lap(world, bin_size)
     if arguments.curves:
         _draw_curves(arguments.curves, findings)
     if arguments.out:

@@ -5,8 +5,8 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from carrl.errors import ConfigError, shown
-from carrl.evaluation.lap_timing import SECTORS
 from carrl.evaluation.results import Rollout, aggregate, mean_or_none, rounded
+from carrl.racing import SECTORS
 from carrl.tracks.track import Track
 
 Laps = list[list[Rollout]]

@@ -11,11 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.racing import SECTORS
 from carrl.sim.crossing import AT_LINE, Floats, crossing_shares, time_shares
 from carrl.sim.simulator import CarState, Simulator
-
-SECTORS = 3
-"""Of a lap, each a third of the centreline."""
 
 SectorTimes = tuple[tuple[float, ...], ...]
 """Of each lap that was begun, s: those of its sectors that were completed, and none of a lap before the last one is

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from carrl.evaluation.intervals import mean_interval, rate_interval, share_interval
-from carrl.evaluation.lap_timing import SECTORS, SectorTimes
+from carrl.evaluation.lap_timing import SectorTimes
+from carrl.racing import SECTORS
 
 MEANS = (
     *("progress", "lap_reward", "lap_steps", "forward_share", "switches_per_100m"),

@@ -10,4 +10,8 @@ speed_profile.py     the fastest speeds on a given line, by another way
 replay.py            the line's controls in the simulator
 checks.py            whether a minimum lap deserves its name
 kept_laps.py         laps kept between processes
+laps.py              laps beside each other, and the gaps between them
 """
+
+SECTORS = 3
+"""Of a lap, each a third of the centreline."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from carrl.errors import TrackError
+from carrl.racing import SECTORS
 from carrl.sim.places import stations_along
 from carrl.tracks.track import Track
 
@@ -24,8 +25,6 @@ Floats = NDArray[np.float64]
 
 FINEST = 0.02
 """Between two moments of a lap, at most, s: shorter than any driver's step."""
-SECTORS = 3
-"""Of a lap, each a third of the centreline."""
 OFF_THE_ROAD = 1.5
 """A car so many times as far from the centreline as the wall is was driven on another road."""
 LONGEST = 3600.0

@@ -3,13 +3,11 @@
 import csv
 import io
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from carrl.config import check_targets
 from carrl.errors import ConfigError, printable
-from carrl.evaluation.best_lap import find_best_lap
 from carrl.evaluation.results import DrivingStyle, Rollout, styles_of
 from carrl.report.findings import SIGNIFICANCE, Comparison, Findings, GroupFigure, lapped, written_p
 from carrl.report.measures import CONFIDENCE, RESAMPLES, Estimate, Measure, measures_of
@@ -75,12 +73,12 @@ def runs_table(runs: list[RunResult], best_lap: Rollout | None = None) -> str:
     return markdown(header, table)
 
 
-def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = ()) -> Rollout:
-    """The best possible lap in the world that the runs were trained in, which may have parts of the trusted modules.
+def common_world(runs: list[RunResult], trust: Sequence[str] = ()) -> World:
+    """The world that all the runs were trained in, which may have parts of the trusted modules.
 
     Raises:
         ConfigError: it is not one and the same, or no run has a configuration that can be read.
-        CarrlError: as `find_best_lap`.
+        CarrlError: it cannot be built.
     """
     runs = [run for run in runs if run.config]
     if not runs:
@@ -91,8 +89,7 @@ def best_lap_of(runs: list[RunResult], bin_size: float, trust: Sequence[str] = (
     differing = next((run.label for run, world in zip(runs, worlds, strict=True) if not _alike(world, worlds[0])), None)
     if differing is not None:
         raise ConfigError(f"'{runs[0].label}' and '{differing}' were not trained with the same track, car and sensors")
-    print(f"searching for the best lap among places {bin_size} m apart (--bin-size)", file=sys.stderr)
-    return find_best_lap(worlds[0], bin_size)
+    return worlds[0]
 
 
 def _alike(world: World, other: World) -> bool:
