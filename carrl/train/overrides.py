@@ -166,7 +166,8 @@ def _check_effect(override: "Override", is_sweep: bool | None, searches: bool) -
         raise ConfigError(f"{typed} has no effect on a single run; add -m, or write hydra.run.dir= for its folder")
     if not is_sweep and override.is_sweep_override():
         remedy = "choose one" if is_sweep is None else "add -m to train with each"
-        raise ConfigError(f"{typed} has several values; {remedy}, or write a list as {key}=[A,B]")
+        several = "trainer.seeds" if key == "seed" else key
+        raise ConfigError(f"{typed} has several values; {remedy}, or write a list as {several}=[A,B]")
 
 
 def check_is_read(overrides: Sequence[str], config: Mapping[str, Any]) -> None:

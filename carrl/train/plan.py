@@ -57,10 +57,12 @@ class TrainingPlan:
         Raises:
             ConfigError: a seed is no whole number of at least 0, or there twice.
         """
-        named = [seed] if self.seeds is None else [each for entry in self.seeds for each in _expand(entry)]
+        if self.seeds is None:
+            return [checked_seed(seed)]
+        named = [each for entry in self.seeds for each in _expand(entry)]
         if not named or len(named) > MOST_REPLICATES or len(set(named)) < len(named):
             raise ConfigError(
-                f"trainer.seeds is {shown(list(self.seeds or []))}; "
+                f"trainer.seeds is {shown(list(self.seeds))}; "
                 f"it must name at least one, none twice, and at most {MOST_REPLICATES}"
             )
         return [checked_seed(each) for each in named]
@@ -73,7 +75,11 @@ def checked_seed(seed: Any) -> int:
         ConfigError: it is not.
     """
     if not is_whole_number(seed) or not 0 <= seed <= LARGEST_SEED:
-        remedy = f"; write {shown(whole(seed))}" if isinstance(seed, float) and is_whole_number(whole(seed)) else ""
+        remedy = ""
+        if isinstance(seed, float) and is_whole_number(whole(seed)):
+            remedy = f"; write {shown(whole(seed))}"
+        elif isinstance(seed, Sequence) and not isinstance(seed, str):
+            remedy = f"; several side by side are trainer.seeds={shown(list(seed))}"
         raise ConfigError(f"seed is {shown(seed)}; it must be a whole number of at least 0 and less than 2^63{remedy}")
     return int(seed)
 
