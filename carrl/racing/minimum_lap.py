@@ -13,6 +13,7 @@ from carrl.racing.cross_sections import CrossSections, Floats
 from carrl.racing.models import Car, PointMass
 from carrl.racing.optimal_control import LapProblem, Solution, Unknowns
 from carrl.racing.reference_line import ReferenceLine
+from carrl.racing.speed_profile import fastest_speeds
 from carrl.sim.driven import GRAVITY
 from carrl.sim.single_track import SingleTrack
 
@@ -25,14 +26,16 @@ SPACING, FEWEST = 1.11, 1000
 FEWEST_STATIONS = 8
 """That any grid may have."""
 STARTS = ("point mass", "middle", "right")
-"""Guesses to begin with: the point mass's lap; one along the middle of the road, and one near its right wall, both of
-them slow."""
+"""Guesses to begin with: the lap of a point mass with less grip than the car; one along the middle of the road, and one
+near its right wall, both as fast as that grip allows."""
 AT_LIMIT = 0.98
 """A car that uses this share of its grip is at the limit."""
 AT_WALL = 0.01
 """A body this near to a wall, in widths of the car, touches it."""
+GUESS_GRIP = 0.7
+"""Share of the car's grip in guesses: from laps that ask for more than the car can do IPOPT ended at slower ones."""
 _SLOW = 0.2
-"""Speed of the slow guesses, as a share of full speed."""
+"""Speed of the point mass's guess, as a share of full speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,20 +73,20 @@ def minimum_lap(
     vehicle: "VehicleModel",
     spacing: float | None = None,
     margin: float = 0.0,
-    start: str | None = None,
+    start: str = STARTS[0],
     coarser: MinimumLap | None = None,
 ) -> MinimumLap:
     """The fastest flying lap of a car on a track, by optimal control.
 
-    It is found on half as many stations first, beginning with the point mass's lap, and from there on all of them: on
-    many at once IPOPT may end at a lap that is slower, but faster than all near it.
+    It is found on half as many stations first, beginning with a guess, and from there on all of them: on many at once
+    IPOPT may end at a lap that is slower, but faster than all near it.
 
     Args:
         track: any.
         vehicle: a single-track car.
         spacing: of the stations, m; by default `SPACING` lengths of the car, and at least `FEWEST` stations.
         margin: that the body keeps to the walls, m.
-        start: the one of `STARTS` to begin with instead, on all stations.
+        start: the guess, one of `STARTS`.
         coarser: the same lap on a coarser grid, to begin with instead.
 
     Raises:
@@ -91,19 +94,13 @@ def minimum_lap(
     """
     car = checked_car(vehicle)
     sections = sections_of(track, car, spacing, margin)
-    problem = LapProblem(Car(car), sections, margin)
     iterations, seconds = 0, 0.0
-    if coarser is None and start is None:
-        coarser = minimum_lap(track, car, min(2 * sections.spacing, track.length / FEWEST_STATIONS), margin, STARTS[0])
+    if coarser is None:
+        half = sections_of(track, car, min(2 * sections.spacing, track.length / FEWEST_STATIONS), margin)
+        coarser = _from_guess(half, car, margin, start)
         iterations, seconds = coarser.iterations, coarser.seconds
-    if coarser is not None:
-        guess = _finer(coarser.line, sections, car)
-    elif start is None or start == STARTS[0]:
-        mass = _solve_point_mass(sections, car, margin)
-        guess, iterations, seconds = _as_car(mass.unknowns, car), mass.iterations, mass.seconds
-    else:
-        guess = _as_car(_slow_lap(sections, car, start), car)
-    solution = problem.solve(guess, warm=coarser is not None)
+    problem = LapProblem(Car(car), sections, margin)
+    solution = problem.solve(_finer(coarser.line, sections, car), warm=True)
     return _lap(
         problem, replace(solution, iterations=solution.iterations + iterations, seconds=solution.seconds + seconds)
     )
@@ -124,7 +121,7 @@ def point_mass_lap(
         raise ConfigError("a point mass has a limit of grip, and vehicle.tyre=linear has none; leave out --quick")
     sections = sections_of(track, car, spacing, margin)
     problem = LapProblem(PointMass(car), sections, margin)
-    return _lap(problem, problem.solve(_slow_lap(sections, car, "middle")))
+    return _lap(problem, problem.solve(_slow_lap(sections, car)))
 
 
 def checked_car(vehicle: "VehicleModel") -> SingleTrack:
@@ -163,21 +160,45 @@ def sections_of(track: "Track", car: SingleTrack, spacing: float | None, margin:
     return sections
 
 
-def _solve_point_mass(sections: CrossSections, car: SingleTrack, margin: float) -> Solution:
-    """For a guess, grip is that of the friction also of linear tyres."""
-    return LapProblem(PointMass(car), sections, margin).solve(_slow_lap(sections, car, "middle"))
+def _from_guess(sections: CrossSections, car: SingleTrack, margin: float, start: str) -> MinimumLap:
+    calm = replace(car, friction=GUESS_GRIP * car.friction)
+    iterations, seconds = 0, 0.0
+    if start == STARTS[0]:
+        mass = LapProblem(PointMass(calm), sections, margin).solve(_slow_lap(sections, calm))
+        guess, iterations, seconds = mass.unknowns, mass.iterations, mass.seconds
+    else:
+        offset = -(sections.width / 2 - car.width).clip(min=0) if start == "right" else np.zeros_like(sections.width)
+        guess = _lap_along(sections, calm, offset)
+    problem = LapProblem(Car(car), sections, margin)
+    solution = problem.solve(_as_car(guess, calm))
+    return _lap(
+        problem, replace(solution, iterations=solution.iterations + iterations, seconds=solution.seconds + seconds)
+    )
 
 
-def _slow_lap(sections: CrossSections, car: SingleTrack, start: str) -> Unknowns:
-    """A point mass's, along the middle or near the right wall."""
-    offset = np.zeros(len(sections.stations))
-    if start == "right":
-        offset = -(sections.width / 2 - car.width).clip(min=0)
+def _slow_lap(sections: CrossSections, car: SingleTrack) -> Unknowns:
+    """A point mass's along the middle, at one speed."""
+    ways, speed = _steps(sections.middle), _SLOW * car.max_speed
+    still = np.zeros_like(ways)
+    return Unknowns(np.stack([still, still, still + speed], axis=1), np.zeros((len(ways), 2)), ways / speed)
+
+
+def _lap_along(sections: CrossSections, car: SingleTrack, offset: Floats) -> Unknowns:
+    """A point mass's beside the middle, at these offsets, as fast as its grip allows."""
     places = sections.middle + sections.across * offset[:, None]
-    ways = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
-    speed = _SLOW * car.max_speed
-    states = np.stack([offset, np.zeros_like(offset), np.full_like(offset, speed)], axis=1)
-    return Unknowns(states, np.zeros((len(offset), 2)), ways / speed)
+    ways = _steps(places)
+    direction = np.arctan2(*np.flip(np.roll(places, -1, axis=0) - places, axis=1).T)
+    turns = np.angle(np.exp(1j * (direction - np.roll(direction, 1))))
+    bends = turns / ((ways + np.roll(ways, 1)) / 2)
+    speed = fastest_speeds(np.abs(bends), ways, car)
+    mean, grip = (speed + np.roll(speed, -1)) / 2, car.friction * GRAVITY
+    controls = np.stack([(np.roll(speed, -1) ** 2 - speed**2) / (2 * ways), speed**2 * bends], axis=1) / grip
+    return Unknowns(np.stack([offset, np.zeros_like(offset), speed], axis=1), controls, ways / mean)
+
+
+def _steps(places: Floats) -> Floats:
+    """From each place to the next, [N], m."""
+    return np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
 
 
 def _as_car(lap: Unknowns, car: SingleTrack) -> Unknowns:

@@ -20,28 +20,40 @@ _LAPS = 2
 
 
 def forward_backward(line: ReferenceLine, car: SingleTrack) -> float:
-    """The lap time along a line of a point mass with the grip and the power of a car, s.
-
-    Cornering limits the speed at each place; then braking limits it from place to place backwards, and grip and power
-    forwards.
-    """
+    """The lap time along a line of a point mass with the grip and the power of a car, s."""
     count = _PLACES * len(line)
-    distance, step = np.arange(count) * line.length / count, line.length / count
+    distance, step = np.arange(count) * line.length / count, np.full(count, line.length / count)
     closed = line.closed()
-    bends = np.abs(np.interp(distance, closed.distance, closed.curvature))
-    grip = car.friction * GRAVITY
-    speed = np.sqrt(grip / bends.clip(grip / car.max_speed**2))
-    for _ in range(_LAPS):
-        speed = _limited(speed, bends, step, grip, min(grip, car.max_acceleration), car)
-        speed = _limited(speed[::-1], bends[::-1], step, grip, min(grip, car.max_acceleration), None)[::-1]
+    speed = fastest_speeds(np.abs(np.interp(distance, closed.distance, closed.curvature)), step, car)
     return float((2 * step / (speed + np.roll(speed, -1))).sum())
 
 
+def fastest_speeds(bends: Floats, steps: Floats, car: SingleTrack) -> Floats:
+    """At each place of a closed line, [S], m/s.
+
+    Cornering limits the speed at each place; then braking limits it from place to place backwards, and grip and power
+    forwards.
+
+    Args:
+        bends: curvatures without signs, [S], 1/m.
+        steps: from each place to the next, [S], m.
+        car: whose grip and power the point mass has.
+    """
+    grip = car.friction * GRAVITY
+    speed = np.sqrt(grip / bends.clip(grip / car.max_speed**2))
+    for _ in range(_LAPS):
+        speed = _limited(speed, bends, steps, grip, min(grip, car.max_acceleration), car)
+        backwards = np.roll(steps[::-1], -1)
+        speed = _limited(speed[::-1], bends[::-1], backwards, grip, min(grip, car.max_acceleration), None)[::-1]
+    return speed
+
+
 def _limited(
-    speed: Floats, bends: Floats, step: float, grip: float, strongest: float, engine: SingleTrack | None
+    speed: Floats, bends: Floats, steps: Floats, grip: float, strongest: float, engine: SingleTrack | None
 ) -> Floats:
     """The profile [S] that gains no more from place to place than grip and engine give; None for no engine's limit."""
-    limited, curvature, count, first = speed.tolist(), bends.tolist(), len(speed), int(speed.argmin())
+    limited, curvature, step = speed.tolist(), bends.tolist(), steps.tolist()
+    count, first = len(speed), int(speed.argmin())
     for index in range(first, first + count):
         here, after = index % count, (index + 1) % count
         now = limited[here]
@@ -49,5 +61,5 @@ def _limited(
         gained = min(strongest, grip * left**0.5)
         if engine is not None:
             gained = min(gained, engine.max_acceleration * engine.power_speed / max(now, engine.power_speed))
-        limited[after] = min(limited[after], (now * now + 2 * step * gained) ** 0.5)
+        limited[after] = min(limited[after], (now * now + 2 * step[here] * gained) ** 0.5)
     return np.array(limited)
