@@ -20,7 +20,6 @@ from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.train.rounds import AfterRounds
 
-
 FEW_UPDATES = "trainer.frames_per_update=8"
 """Where nothing depends on them: they take most of a run's time."""
 
