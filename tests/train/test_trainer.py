@@ -219,11 +219,10 @@ def test_the_configuration_is_found():
 
 
 CIRCUITS = ("track=circuits", "track.count=3", "track.validation=2", "evaluation.interval=200", "env.max_steps=20")
-CIRCUITS += (FEW_UPDATES,)
 
 
 def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploration(tmp_path):
-    trainer, pipeline = train(tmp_path, *CIRCUITS, "start.anywhere=true")
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "start.anywhere=true", FEW_UPDATES)
     assert set(load(tmp_path / "train.mcap")["track"].tolist()) == {0, 1, 2}
     names = [track.name for track in pipeline.source.env.tracks]
     assert names == ["random-1000", "random-1001", "random-1002"]
@@ -236,7 +235,7 @@ def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploratio
 
 
 def test_networks_are_tried_out_from_several_places(tmp_path):
-    trainer, pipeline = train(tmp_path, *CIRCUITS, "evaluation.starts=3")
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "evaluation.starts=3", FEW_UPDATES)
     (run,) = trainer.runs
     lengths = [track.length for track in pipeline.world.circuits.validation]
     starts = [length * share / 3 for length in lengths for share in range(3)]
@@ -259,9 +258,9 @@ def test_networks_are_tried_out_by_several_laps_in_a_row(tmp_path):
 
 
 def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):
-    together, _ = train(tmp_path / "both", *CIRCUITS, "trainer.seeds=[3,4]")
+    together, _ = train(tmp_path / "both", *CIRCUITS, "trainer.seeds=[3,4]", FEW_UPDATES)
     for index, seed in enumerate((3, 4)):
-        alone, _ = train(tmp_path / f"alone-{seed}", *CIRCUITS, f"seed={seed}")
+        alone, _ = train(tmp_path / f"alone-{seed}", *CIRCUITS, f"seed={seed}", FEW_UPDATES)
         assert together.runs[index].last.measures() == alone.runs[0].last.measures()
 
 
