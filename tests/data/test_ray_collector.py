@@ -38,7 +38,6 @@ OVERRIDES = [
     "start.anywhere=true",
     "env.max_steps=40",
     f"trainer.frames={FRAMES}",
-    "trainer.frames_per_update=8",
     "replay_buffer.batch_size=64",
     "exploration.decay_rate=2e-3",
     "compile=false",
