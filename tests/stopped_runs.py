@@ -10,26 +10,27 @@ from carrl.cli.text.console import ProgressDisplay, RoadWarning
 from carrl.log import load, read_episodes, verify
 from carrl.train.checkpoint import load_checkpoint
 
-FRAMES = 640
+FRAMES = 240
 TINY = [
     "track=oval",
     "env.num_envs=8",
     "start.anywhere=true",
-    "env.max_steps=40",
+    "env.max_steps=20",
     "loss=double_dqn",
     f"trainer.frames={FRAMES}",
-    "evaluation.interval=160",
-    "target_updater.period=100",
-    "replay_buffer.capacity=512",
-    "replay_buffer.batch_size=64",
+    "trainer.frames_per_update=2",
+    "evaluation.interval=80",
+    "target_updater.period=20",
+    "replay_buffer.capacity=192",
+    "replay_buffer.batch_size=32",
 ]
 EAGER = [*TINY, "compile=false"]
 MOMENTS = {
     "before the first step": 0,
-    "before the first update": 56,
-    "between two copies of the network": 152,
-    "after an evaluation": 320,
-    "when the buffer is full": 600,
+    "before the first update": 24,
+    "between two copies of the network": 88,
+    "after an evaluation": 160,
+    "when the buffer is full": 216,
 }
 
 

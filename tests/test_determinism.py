@@ -14,7 +14,7 @@ from carrl.train.checkpoint import load_checkpoint
 ROOT = Path(__file__).resolve().parents[1]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 RUN = (
-    *("experiment=smoke", "compile=false", "seed=3", "threads=1", "trainer.frames=320", "evaluation.interval=160"),
+    *("experiment=smoke", "compile=false", "seed=3", "threads=1", "trainer.frames=160", "evaluation.interval=80"),
     *("replay_buffer.batch_size=16", "sensor.noise=0.1", "start.anywhere=true", "hydra.run.dir=run"),
 )
 
@@ -31,7 +31,7 @@ def test_two_processes_in_two_folders_learn_the_same_to_the_bit(tmp_path):
         assert done.returncode == 0, done.stderr
         runs.append(folder / "run")
     one, other = (read_columns(run / "train.mcap") for run in runs)
-    assert len(one["action"]) == 320
+    assert len(one["action"]) == 160
     assert {name: values.tobytes() for name, values in one.items()} == {
         name: values.tobytes() for name, values in other.items()
     }

@@ -14,7 +14,7 @@ from carrl.cli.main import main
 from carrl.errors import ConfigError
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "own_parts"
-SHORT = ["compile=false", "trainer.frames=240", "evaluation.interval=120", "replay_buffer.batch_size=32"]
+SHORT = ["compile=false", "trainer.frames=80", "evaluation.interval=40", "replay_buffer.batch_size=32"]
 
 
 @pytest.fixture(autouse=True)
@@ -68,8 +68,8 @@ def test_every_verb_that_builds_from_a_runs_folder_asks_for_trust(run, capsys):
         assert "add --trust own_parts" in capsys.readouterr().err
     assert main(["report", str(run)]) == 0
     trust = ["--trust", str(EXAMPLE / "own_parts.py")]
-    assert main(["train", f"resume={run}", *trust, "trainer.frames=320"]) == 0
-    assert json.loads((run / "summary.json").read_text())["frames"] == 320
+    assert main(["train", f"resume={run}", *trust, "trainer.frames=120"]) == 0
+    assert json.loads((run / "summary.json").read_text())["frames"] == 120
 
 
 def test_what_a_trusted_module_has_only_imported_is_not_trusted_with_it(run, capsys):

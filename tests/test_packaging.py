@@ -40,7 +40,8 @@ def test_the_wheel_holds_every_configuration_file(unpacked_wheel):
 
 
 def test_the_installed_wheel_trains_and_evaluates_from_an_empty_folder(unpacked_wheel, tmp_path):
-    overrides = ["experiment=smoke", "compile=false", "trainer.frames=200", "hydra.run.dir=outputs/run"]
+    overrides = ["experiment=smoke", "compile=false", "trainer.frames=64", "replay_buffer.batch_size=16"]
+    overrides += ["env.max_steps=50", "hydra.run.dir=outputs/run"]
     trained = run_installed(unpacked_wheel, ["train", *overrides], tmp_path)
     assert trained.returncode == 0, trained.stderr
     assert "results in" in trained.stdout

@@ -107,7 +107,8 @@ def test_a_reference_that_fails_is_one_sentence(monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_real_commands_are_started_at_once():
-    command = [sys.executable, "-m", "benchmarks.log_faults.pairs", "--pairs", "3", "--kinds", RUN, RESUME, SWEEP]
+    size = ["--pairs", "3", "--frames", "400"]
+    command = [sys.executable, "-m", "benchmarks.log_faults.pairs", *size, "--kinds", RUN, RESUME, SWEEP]
     done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "3 of 3 lost nothing" in done.stdout

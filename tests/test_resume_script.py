@@ -17,6 +17,7 @@ from benchmarks.log_faults.same_run import RunContents, differences
 from carrl.train.checkpoint import StateFile, load_checkpoint
 
 TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=320", "replay_buffer.batch_size=16"]
+TINY += ["trainer.frames_per_update=2", "env.max_steps=100"]
 
 
 class StruckError(Exception):

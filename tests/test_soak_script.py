@@ -88,6 +88,7 @@ def test_bad_arguments_are_one_sentence_and_exit_code_2(capsys):
 @pytest.mark.slow
 def test_a_real_run_is_watched():
     tiny = ["compile=false", "track=oval", "env.num_envs=8", "replay_buffer.capacity=512"]
+    tiny += ["trainer.frames_per_update=8"]
     command = [sys.executable, "-m", "benchmarks.soak.soak", "--frames", "4000", *tiny]
     done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

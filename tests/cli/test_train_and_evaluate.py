@@ -17,12 +17,13 @@ from carrl.report.runs import find_runs
 from tests.processes import carrl_command
 from tests.racing.laps import oval_lap
 
+FRAMES = 160
 TINY = [
     "compile=false",
     "track=oval",
     "env.num_envs=8",
-    "trainer.frames=320",
-    "evaluation.interval=160",
+    f"trainer.frames={FRAMES}",
+    "evaluation.interval=80",
     "replay_buffer.batch_size=16",
 ]
 
@@ -68,17 +69,17 @@ def test_the_summary_has_the_documented_keys(run):
         "reversals",
         "progress",
     }
-    assert (summary["frames"], summary["updates"], summary["seed"]) == (320, 320 - 8, 5)
+    assert (summary["frames"], summary["updates"], summary["seed"]) == (FRAMES, FRAMES - 8, 5)
     with (run / "metrics.csv").open() as file:
         assert len(list(csv.DictReader(file))) == summary["episodes"]
 
 
 def test_the_log_holds_the_run_its_config_and_its_track(run):
-    assert len(load(run / "train.mcap")) == 320
+    assert len(load(run / "train.mcap")) == FRAMES
     summary = read_summary(run / "train.mcap")
     assert summary.metadata["seed"] == "5"
     config = yaml.safe_load(read_attachment(run / "train.mcap", "config.yaml"))
-    assert config["trainer"]["frames"] == 320
+    assert config["trainer"]["frames"] == FRAMES
     track = json.loads(read_attachment(run / "train.mcap", "track.json"))
     assert (track["name"], len(track["gates"])) == ("oval", 8)
 
@@ -409,8 +410,8 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
     assert "cannot be written" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_an_interrupted_run_saves_everything(number, tmp_path):
+def test_a_closing_terminal_leaves_a_run_with_everything_saved(tmp_path):
+    """SIGINT and SIGTERM: tests/faults."""
     overrides = ["track=oval", "compile=false", f"hydra.run.dir={tmp_path}"]
     command = [*carrl_command(), "train", *overrides]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -418,7 +419,7 @@ def test_an_interrupted_run_saves_everything(number, tmp_path):
     metrics = tmp_path / "metrics.csv"
     while not (metrics.exists() and metrics.stat().st_size) and time.monotonic() < deadline:
         time.sleep(0.05)
-    process.send_signal(number)
+    process.send_signal(signal.SIGHUP)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors.decode()
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -446,9 +447,9 @@ def test_other_actions_observations_and_rewards_are_trained_logged_and_evaluated
     own = ["action=steer5", "observation=rays_and_last_action", "reward.proximity=null", "reward.steering.turn=-1"]
     assert main(["train", *TINY, *own, f"hydra.run.dir={tmp_path}"]) == 0
     transitions = load(tmp_path / "train.mcap")
-    assert transitions["observation"].shape == (320, 7 + 5)
-    assert transitions["action_value"].shape == (320, 5)
-    assert transitions["next", "reward_terms"].shape == (320, 3)  # collision, gate, steering
+    assert transitions["observation"].shape == (FRAMES, 7 + 5)
+    assert transitions["action_value"].shape == (FRAMES, 5)
+    assert transitions["next", "reward_terms"].shape == (FRAMES, 3)  # collision, gate, steering
     assert set(transitions["action"].tolist()) == set(range(5))
     metadata = read_summary(tmp_path / "train.mcap").metadata
     assert json.loads(metadata["reward_terms"]) == ["collision", "gate", "steering"]

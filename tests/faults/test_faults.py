@@ -23,6 +23,7 @@ OVERRIDES = [
     "compile=false",
     "env.num_envs=8",
     f"trainer.frames={FRAMES}",
+    "trainer.frames_per_update=4",
     "trainer.checkpoint_interval=0.2",
     "evaluation.interval=500",
 ]

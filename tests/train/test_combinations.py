@@ -12,9 +12,10 @@ from tests.configs import compose
 TINY = [
     "track=oval",
     "env.num_envs=8",
-    "env.max_steps=50",
-    "trainer.frames=160",
-    "evaluation.interval=80",
+    "env.max_steps=20",
+    "trainer.frames=32",
+    "evaluation.interval=16",
+    "replay_buffer.batch_size=16",
     "recorder=null",
 ]
 GROUPS = ["exploration", "learning_rate", "loss", "network", "replay_buffer", "reward", "target_updater"]

@@ -47,14 +47,24 @@ def updated(pipeline, count=200):
     return torch.tensor(losses)
 
 
+TWO = ("loss=double_dqn", "trainer.seeds=[1,2]")
+
+
+@pytest.fixture(scope="module")
+def two_compiled():
+    """A pipeline of two replicates after 200 compiled updates, and their losses."""
+    pipeline = make_pipeline(*TWO, "compile=true")
+    losses = updated(pipeline)
+    assert pipeline.learner.state_dict()["kind"] == "compiled"
+    return pipeline, losses
+
+
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("overrides", [("loss=double_dqn",), ("loss=double_dqn", "trainer.seeds=[1,2]")], ids=" ".join)
-def test_200_compiled_updates_equal_200_eager_ones(overrides, caplog):
-    eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
-    torch.testing.assert_close(updated(compiled), updated(eager), rtol=1e-5, atol=0)
-    assert not any("eagerly" in message for message in messages(caplog))
+def test_200_compiled_updates_equal_200_eager_ones(two_compiled):
+    (compiled, losses), eager = two_compiled, make_pipeline(*TWO)
+    torch.testing.assert_close(losses, updated(eager), rtol=1e-5, atol=0)
     for ours, theirs in zip(compiled.algorithm.replicates, eager.algorithm.replicates, strict=True):
         for name in ("value_network_params", "target_value_network_params"):
             tensors = (getattr(replicate.loss, name).values(True, True) for replicate in (ours, theirs))
@@ -109,9 +119,8 @@ def test_whatever_an_update_is_made_with_together_and_alone_the_weights_are_the_
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit():
-    together = make_pipeline("loss=double_dqn", "trainer.seeds=[1,2]", "compile=true")
-    together.learner.learn(200)
+def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit(two_compiled):
+    together, _ = two_compiled
     for index, seed in enumerate((1, 2)):
         alone = make_pipeline("loss=double_dqn", f"seed={seed}", "compile=true")
         alone.learner.learn(200)
@@ -126,11 +135,10 @@ def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit():
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.usefixtures("two_compiled")
 def test_compiled_code_is_kept_between_runs(caplog):
     caplog.set_level(logging.WARNING)
-    updated(make_pipeline("loss=double_dqn", "compile=true"), count=2)
-    caplog.clear()
-    updated(make_pipeline("loss=double_dqn", "compile=true"), count=2)
+    updated(make_pipeline(*TWO, "compile=true"), count=2)
     assert messages(caplog) == []
     assert list(cache_dir().glob("*.pt2"))
 

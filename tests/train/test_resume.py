@@ -43,12 +43,16 @@ def test_a_resumed_run_is_the_run_never_stopped_bit_for_bit(frames, never_stoppe
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bit(tmp_path, monkeypatch):
+    """Stopped before the first update, which the resumed run compiles, and between two copies of the network."""
     whole = train(tmp_path / "whole", *TINY)
-    for frames in MOMENTS.values():
-        run = interrupted(monkeypatch, tmp_path / f"stopped at {frames}", frames, *TINY)
-        assert main(["train", f"resume={run}"]) == 0
-        assert_same_run(run, whole)
-        assert_same_state(state_of(run), state_of(whole))
+    before, between = MOMENTS["before the first update"], MOMENTS["between two copies of the network"]
+    run = interrupted(monkeypatch, tmp_path / "stopped", before, *TINY)
+    with monkeypatch.context() as patches:
+        stop_at(patches, between)
+        assert main(["train", f"resume={run}"]) == 130
+    assert main(["train", f"resume={run}"]) == 0
+    assert_same_run(run, whole)
+    assert_same_state(state_of(run), state_of(whole))
 
 
 @pytest.mark.parametrize(
@@ -56,13 +60,13 @@ def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bi
     [
         ["trainer.seeds=[3,7]"],
         ["sensor.noise=0.2", "start.mirrored=true", "observation=rays_and_last_action"],
-        ["collector.steps_per_batch=3"],
+        ["collector.steps_per_batch=3", "trainer.frames_per_update=1"],
         ["recorder.max_file_bytes=1048576", "recorder.every_nth_episode=2"],
         ["returns.steps=3", "collector.steps_per_batch=3"],
-        ["replay_buffer=prioritized", "replay_buffer.capacity=512", "replay_buffer.batch_size=64"],
+        ["replay_buffer=prioritized"],
         ["network=noisy", "exploration=constant", "exploration.epsilon=0", "trainer.seeds=[3,7]"],
         ["loss=distributional", "target_updater=soft"],
-        ["learning_rate=cosine", "learning_rate.updates=500", "gradient_clipping.max_norm=10", "exploration=linear"],
+        ["learning_rate=cosine", "learning_rate.updates=100", "gradient_clipping.max_norm=10", "exploration=linear"],
         ["loss=dueling", "reward=shaped"],
     ],
     ids=" ".join,
@@ -70,7 +74,7 @@ def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bi
 def test_whatever_draws_random_numbers_goes_on_where_it_was(overrides, tmp_path, monkeypatch):
     shared = [each for each in EAGER if "target_updater=soft" not in overrides or "target_updater" not in each]
     whole = train(tmp_path / "whole", *shared, *overrides)
-    run = interrupted(monkeypatch, tmp_path / "run", 240, *shared, *overrides)
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *shared, *overrides)
     assert main(["train", f"resume={run}"]) == 0
     for summary in run.rglob("summary.json"):
         assert_same_run(summary.parent, whole / summary.parent.relative_to(run))
@@ -78,8 +82,8 @@ def test_whatever_draws_random_numbers_goes_on_where_it_was(overrides, tmp_path,
 
 
 def test_a_run_may_be_stopped_many_times(never_stopped, tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 100, *EAGER)
-    for frames in (200, 300, 400):
+    run = interrupted(monkeypatch, tmp_path / "run", 40, *EAGER)
+    for frames in (80, 120, 160):
         with monkeypatch.context() as patches:
             stop_at(patches, frames)
             assert main(["train", f"resume={run}"]) == 130
@@ -88,14 +92,14 @@ def test_a_run_may_be_stopped_many_times(never_stopped, tmp_path, monkeypatch):
 
 
 def test_a_finished_run_can_be_extended(never_stopped, tmp_path):
-    run = train(tmp_path / "run", *EAGER, "trainer.frames=200")
+    run = train(tmp_path / "run", *EAGER, "trainer.frames=120")
     assert main(["train", f"resume={run}", f"trainer.frames={FRAMES}"]) == 0
     assert_same_run(run, never_stopped)
     assert yaml.safe_load((run / ".hydra" / "config.yaml").read_text())["trainer"]["frames"] == FRAMES
 
 
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
-    run = train(tmp_path / "run", *EAGER, "trainer.frames=200")
+    run = train(tmp_path / "run", *EAGER, "trainer.frames=40")
     before = tmp_path / "before"
     shutil.copytree(run, before)
     assert main(["train", f"resume={run}"]) == 0
@@ -103,7 +107,7 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path):
 
 
 def test_learning_from_a_log_is_resumed_bit_for_bit(never_stopped, tmp_path, monkeypatch):
-    overrides = ["data=log", f"data.path={never_stopped / 'train.mcap'}", "data.updates=600", "compile=false"]
+    overrides = ["data=log", f"data.path={never_stopped / 'train.mcap'}", "data.updates=300", "compile=false"]
     overrides += ["replay_buffer.batch_size=32", "loss=cql", "track=oval"]
     whole = train(tmp_path / "whole", *overrides)
     run = tmp_path / "run"
@@ -118,10 +122,10 @@ def test_learning_from_a_log_is_resumed_bit_for_bit(never_stopped, tmp_path, mon
 
 def test_what_was_logged_after_the_state_is_cut_off(never_stopped, tmp_path, monkeypatch):
     """As after kill -9: the log and the tables are further than the checkpoint."""
-    run = interrupted(monkeypatch, tmp_path / "run", 240, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 80, *EAGER)
     early = {name: (run / "checkpoints" / name).read_bytes() for name in ("state.pt", "last.pt")}
     with monkeypatch.context() as patches:
-        stop_at(patches, 480)
+        stop_at(patches, 160)
         assert main(["train", f"resume={run}"]) == 130
     for name, content in early.items():
         (run / "checkpoints" / name).write_bytes(content)
@@ -131,7 +135,7 @@ def test_what_was_logged_after_the_state_is_cut_off(never_stopped, tmp_path, mon
 
 
 def test_a_damaged_checkpoint_is_replaced_by_the_one_before(never_stopped, tmp_path, monkeypatch, caplog):
-    run = interrupted(monkeypatch, tmp_path / "run", 240, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *EAGER)
     state = run / "checkpoints" / "state.pt"
     content = bytearray(state.read_bytes())
     middle = len(content) // 2
@@ -144,27 +148,33 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(never_stopped, tmp_p
 
 
 def test_a_log_that_is_not_as_it_was_is_left_alone(tmp_path, monkeypatch, caplog):
-    run = interrupted(monkeypatch, tmp_path / "run", 240, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *EAGER)
     damaged = b"my notes"
     (run / "train.mcap").write_bytes(damaged)
     assert main(["train", f"resume={run}"]) == 0
     assert (run / "train.mcap").read_bytes() == damaged
-    assert len(load(run / "train-1.mcap")) == FRAMES - 240
+    assert len(load(run / "train-1.mcap")) == FRAMES - 120
     assert "It goes on in" in caplog.text
 
 
 def test_a_killed_writers_left_overs_are_removed(tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 100, *EAGER, "trainer.frames=200", "trainer.seeds=[3]")
+    run = interrupted(monkeypatch, tmp_path / "run", 40, *EAGER, "trainer.frames=80", "trainer.seeds=[3]")
     for place in ("checkpoints", ".hydra", "seed=3", "seed=3/checkpoints", "seed=3/.hydra"):
         (run / place / ".0123.partial").write_bytes(b"half a file")
     assert main(["train", f"resume={run}"]) == 0
     assert list(run.rglob("*.partial")) == []
 
 
+@pytest.fixture(scope="module")
+def stopped_once(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patches:
+        return interrupted(patches, tmp_path_factory.mktemp("stopped") / "run", 56, *EAGER, "trainer.seeds=[3,7]")
+
+
 @pytest.fixture
-def stopped(tmp_path, monkeypatch):
-    """An interrupted run of two replicates."""
-    return interrupted(monkeypatch, tmp_path / "run", 100, *EAGER, "trainer.seeds=[3,7]")
+def stopped(stopped_once, tmp_path):
+    """A copy of an interrupted run of two replicates."""
+    return shutil.copytree(stopped_once, tmp_path / "run")
 
 
 @pytest.mark.parametrize(
@@ -253,7 +263,8 @@ def test_a_run_whose_state_was_deleted_is_refused(left, stopped, capsys):
 
 
 def test_agents_that_ended_at_different_times_cannot_get_more_episodes(tmp_path, capsys):
-    overrides = [*EAGER, "env.num_envs=1", "trainer.episodes=8", "trainer.frames=100000", "trainer.seeds=[0,1]"]
+    limits = ["env.max_steps=40", "trainer.episodes=8", "trainer.frames=100000", "trainer.frames_per_update=8"]
+    overrides = [*EAGER, "env.num_envs=1", "trainer.seeds=[0,1]", *limits]
     run = train(tmp_path / "run", *overrides)
     before = (run / ".hydra" / "config.yaml").read_text()
     assert main(["train", f"resume={run}", "trainer.episodes=9"]) == 2

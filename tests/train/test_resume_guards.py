@@ -62,7 +62,7 @@ def refused(capsys, run, *overrides):
         "trainer.frames=100",
         "trainer.episodes=100000",
         "trainer.checkpoint_interval=5",
-        "evaluation.interval=80",
+        "evaluation.interval=40",
         "optimizer.lr=0.5",
     ],
 )

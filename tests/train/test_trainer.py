@@ -20,6 +20,9 @@ from carrl.train.trainer import Trainer
 from tests.configs import compose
 from tests.train.rounds import AfterRounds
 
+FEW_UPDATES = "trainer.frames_per_update=8"
+"""Where nothing depends on them: they take most of a run's time."""
+
 
 def train(folder, *overrides):
     """A finished trainer and its pipeline; with several seeds their folders are named after them."""
@@ -82,7 +85,7 @@ def test_target_network_changes_exactly_at_env_steps_c_2c_3c(tmp_path, num_envs)
 
 
 def test_the_log_holds_every_transition_that_the_learner_saw(tmp_path):
-    trainer, pipeline = train(tmp_path)
+    trainer, pipeline = train(tmp_path, FEW_UPDATES)
     log = load(tmp_path / "train.mcap")
     assert len(log) == trainer.frames == 400
     stored = pipeline.replay_buffer[:][:, 0]
@@ -91,7 +94,7 @@ def test_the_log_holds_every_transition_that_the_learner_saw(tmp_path):
 
 
 def test_the_log_tells_episodes_apart(tmp_path):
-    trainer, _ = train(tmp_path, "env.num_envs=2")
+    trainer, _ = train(tmp_path, "env.num_envs=2", FEW_UPDATES)
     log = load(tmp_path / "train.mcap")
     for number in log["episode"].unique().tolist():
         episode = log[log["episode"] == number]
@@ -109,7 +112,7 @@ def test_the_log_tells_episodes_apart(tmp_path):
 
 
 def test_epsilon_in_the_log_is_equation_4_of_the_env_steps_before(tmp_path):
-    train(tmp_path, "env.num_envs=4", "exploration.decay_rate=1e-3")
+    train(tmp_path, "env.num_envs=4", "exploration.decay_rate=1e-3", FEW_UPDATES)
     log = load(tmp_path / "train.mcap")
     expected = torch.tensor([0.01 + 0.98 * math.exp(-1e-3 * (frame // 4 * 4)) for frame in range(400)])
     torch.testing.assert_close(log["epsilon"], expected)
@@ -143,7 +146,7 @@ def test_two_agents_side_by_side_train_as_each_would_alone(tmp_path, random_star
 
 
 def test_an_agent_that_is_done_leaves_the_others_to_go_on(tmp_path):
-    limits = ("trainer.episodes=8", "trainer.frames=100000", "env.num_envs=1")
+    limits = ("trainer.episodes=8", "trainer.frames=100000", "env.num_envs=1", FEW_UPDATES)
     trainer, _ = train(tmp_path / "both", *limits, "trainer.seeds=[0,1]")
     frames = [run.status.frames for run in trainer.runs]
     assert [run.episodes for run in trainer.runs] == [8, 8]
@@ -155,7 +158,7 @@ def test_an_agent_that_is_done_leaves_the_others_to_go_on(tmp_path):
 
 
 def test_the_run_ends_at_the_episode_limit(tmp_path):
-    trainer, _ = train(tmp_path, "trainer.episodes=3", "trainer.frames=100000", "env.num_envs=1")
+    trainer, _ = train(tmp_path, "trainer.episodes=3", "trainer.frames=100000", "env.num_envs=1", FEW_UPDATES)
     assert trainer.runs[0].episodes == 3
     assert trainer.frames < 1000
 
@@ -171,7 +174,7 @@ def test_stop_ends_the_run_after_the_round(tmp_path):
 
 
 def test_evaluations_come_at_their_interval_for_any_number_of_cars(tmp_path):
-    train(tmp_path, "env.num_envs=3", "evaluation.interval=100")
+    train(tmp_path, "env.num_envs=3", "evaluation.interval=100", "env.max_steps=50", FEW_UPDATES)
     with (tmp_path / "evaluations.csv").open() as file:
         frames = [int(row["frames"]) for row in csv.DictReader(file)]
     assert frames == [102, 201, 300, 402]
@@ -219,7 +222,7 @@ CIRCUITS = ("track=circuits", "track.count=3", "track.validation=2", "evaluation
 
 
 def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploration(tmp_path):
-    trainer, pipeline = train(tmp_path, *CIRCUITS, "start.anywhere=true")
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "start.anywhere=true", FEW_UPDATES)
     assert set(load(tmp_path / "train.mcap")["track"].tolist()) == {0, 1, 2}
     names = [track.name for track in pipeline.source.env.tracks]
     assert names == ["random-1000", "random-1001", "random-1002"]
@@ -232,7 +235,7 @@ def test_several_circuits_are_learnt_on_and_others_are_driven_without_exploratio
 
 
 def test_networks_are_tried_out_from_several_places(tmp_path):
-    trainer, pipeline = train(tmp_path, *CIRCUITS, "evaluation.starts=3")
+    trainer, pipeline = train(tmp_path, *CIRCUITS, "evaluation.starts=3", FEW_UPDATES)
     (run,) = trainer.runs
     lengths = [track.length for track in pipeline.world.circuits.validation]
     starts = [length * share / 3 for length in lengths for share in range(3)]
@@ -255,9 +258,9 @@ def test_networks_are_tried_out_by_several_laps_in_a_row(tmp_path):
 
 
 def test_agents_side_by_side_are_tried_out_on_every_circuit_as_each_alone(tmp_path):
-    together, _ = train(tmp_path / "both", *CIRCUITS, "trainer.seeds=[3,4]")
+    together, _ = train(tmp_path / "both", *CIRCUITS, "trainer.seeds=[3,4]", FEW_UPDATES)
     for index, seed in enumerate((3, 4)):
-        alone, _ = train(tmp_path / f"alone-{seed}", *CIRCUITS, f"seed={seed}")
+        alone, _ = train(tmp_path / f"alone-{seed}", *CIRCUITS, f"seed={seed}", FEW_UPDATES)
         assert together.runs[index].last.measures() == alone.runs[0].last.measures()
 
 
