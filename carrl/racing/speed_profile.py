@@ -11,6 +11,7 @@ import numpy as np
 from carrl.racing.cross_sections import Floats
 from carrl.racing.reference_line import ReferenceLine
 from carrl.sim.driven import GRAVITY
+from carrl.sim.kinematic import Kinematic
 from carrl.sim.single_track import SingleTrack
 
 _PLACES = 4
@@ -28,13 +29,26 @@ def forward_backward(line: ReferenceLine, car: SingleTrack) -> float:
     count = _PLACES * len(line)
     distance, step = np.arange(count) * line.length / count, line.length / count
     closed = line.closed()
-    bends = np.abs(np.interp(distance, closed.distance, closed.curvature))
-    grip = car.friction * GRAVITY
-    speed = np.sqrt(grip / bends.clip(grip / car.max_speed**2))
-    for _ in range(_LAPS):
-        speed = _limited(speed, bends, step, grip, min(grip, car.max_acceleration), car)
-        speed = _limited(speed[::-1], bends[::-1], step, grip, min(grip, car.max_acceleration), None)[::-1]
+    speed = possible_speeds(np.interp(distance, closed.distance, closed.curvature), step, car)
     return float((2 * step / (speed + np.roll(speed, -1))).sum())
+
+
+def possible_speeds(curvature: Floats, step: float, car: SingleTrack | Kinematic) -> Floats:
+    """The fastest speeds of a point mass along a closed way, [S], m/s.
+
+    Args:
+        curvature: of the way at evenly spaced places, [S], 1/m.
+        step: from one to the next, m.
+        car: whose grip, power and brakes it has.
+    """
+    bends, grip = np.abs(curvature), car.friction * GRAVITY
+    speed = np.sqrt(grip / bends.clip(grip / car.max_speed**2))
+    drive, brakes = car.max_acceleration, getattr(car, "max_braking", car.max_acceleration)
+    engine = car if isinstance(car, SingleTrack) else None
+    for _ in range(_LAPS):
+        speed = _limited(speed, bends, step, grip, min(grip, drive), engine)
+        speed = _limited(speed[::-1], bends[::-1], step, grip, min(grip, brakes), None)[::-1]
+    return speed
 
 
 def _limited(
