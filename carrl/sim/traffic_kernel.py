@@ -86,7 +86,7 @@ def see(
                 if outline.looks_ahead and cos * dx + sin * dy < -reach:
                     continue
                 if not is_ready:
-                    _begin(outline, cos, sin, ranges[row], work)
+                    _begin(outline, cos, sin, work)
                     is_ready = True
                 _cast(dx, dy, np.float64(state[first + other, 2]), half_length, half_width, work)
             if is_ready:
@@ -95,16 +95,13 @@ def see(
 
 
 @inlined
-def _begin(outline: Outline, cos: float, sin: float, walls: np.ndarray, work: np.ndarray) -> None:
-    """Writes each ray's direction and 1 / distance of its wall, [R], into `work`, [3, R']."""
+def _begin(outline: Outline, cos: float, sin: float, work: np.ndarray) -> None:
+    """Writes each ray's direction into `work`, [3, R'], and 1 / distance of the nearest car so far: there is none."""
     fan_x, fan_y, ray_x, ray_y, nearness = outline.fan[0], outline.fan[1], work[0], work[1], work[2]
     for ray in range(len(nearness)):
         ray_x[ray] = cos * fan_x[ray] - sin * fan_y[ray]
         ray_y[ray] = sin * fan_x[ray] + cos * fan_y[ray]
-    for ray in range(len(walls)):
-        nearness[ray] = 1 / np.float64(walls[ray])
-    for ray in range(len(walls), len(nearness)):
-        nearness[ray] = np.inf
+        nearness[ray] = 0.0
 
 
 @apart
@@ -144,7 +141,7 @@ def _cast(x: float, y: float, heading: float, half_length: float, half_width: fl
 def _finish(ranges: np.ndarray, on_car: np.ndarray, work: np.ndarray) -> None:
     """Writes the distances of those rays that a car is nearer to than their walls, [R]."""
     for ray in range(len(ranges)):
-        if work[2, ray] > 1 / np.float64(ranges[ray]):
+        if work[2, ray] * ranges[ray] > 1:
             ranges[ray], on_car[ray] = 1 / work[2, ray], True
 
 
