@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import figures, sim_profile, sim_tables
+from benchmarks import figures, sim_profile, sim_tables, sim_traffic
 from benchmarks.child import CIRCUITS, BenchError
 from benchmarks.machine import describe_machine, machine_line
 from benchmarks.options import Parser, names_of, positive, tell, writable
@@ -19,6 +19,8 @@ from benchmarks.sim_tables import Reference, Row
 
 SPA = CIRCUITS / "Spa.csv"
 CARS = tuple(4**power for power in range(8))
+WORLDS = 1, 4, 8
+"""Cars a world."""
 NOTES = (
     "One thread each; car-steps of all cars together, with 7 rays each and cars put back after a collision.",
     "Actions are random and drawn beforehand, but for the Collector, whose policy draws them as it goes.",
@@ -42,6 +44,8 @@ def main(argv: list[str] | None = None) -> int:
             rows = _race(course, arguments, result, table)
             cars = next((row.best_cars for row in rows if row.contestant == "env"), cars)
             result["first_use_s"] = _first_use()
+        if arguments.cars_per_world:
+            result["cars_per_world"] = _worlds(course, arguments, table)
         if arguments.profile:
             result["profile"] = _profile(course, cars, table)
         code = 0
@@ -80,12 +84,22 @@ def _parse(argv: list[str] | None) -> argparse.Namespace:
         "--limit-program", type=_program, metavar="PATH", help="also compare with a hand-written program"
     )
     parser.add_argument("--profile", action="store_true", help="also show where TrackEnv's time goes")
-    parser.add_argument("--no-race", action="store_true", help="only what --profile asks for, with the most cars")
+    parser.add_argument(
+        "--cars-per-world",
+        type=_cars,
+        nargs="?",
+        const=list(WORLDS),
+        metavar="N,...",
+        help=f"also what several cars in a world cost; default: {','.join(map(str, WORLDS))}",
+    )
+    parser.add_argument(
+        "--no-race", action="store_true", help="only what --profile and --cars-per-world ask for, with the most cars"
+    )
     parser.add_argument("--markdown", action="store_true", help="print tables for a page")
     parser.add_argument("--json", type=writable, metavar="FILE", help="keep all figures, of every round")
     arguments = parser.parse_args(argv)
-    if arguments.no_race and not arguments.profile:
-        parser.error("--no-race leaves nothing to do; add --profile")
+    if arguments.no_race and not (arguments.profile or arguments.cars_per_world):
+        parser.error("--no-race leaves nothing to do; add --profile or --cars-per-world")
     arguments.left_out = {}
     if not arguments.track:
         arguments.track = [PAPER, str(SPA)] if SPA.is_file() else [PAPER]
@@ -184,6 +198,19 @@ def _first_use() -> dict[str, float]:
     print("Making a simulator and its first step: ", end="")
     print(", ".join(f"{took:.1f} s with {state} caches of compiled code" for state, took in seconds.items()) + ".\n")
     return seconds
+
+
+def _worlds(course: Course, arguments: argparse.Namespace, table: Table) -> dict[str, sim_traffic.Cost]:
+    """Measures several cars in a world on every track, and prints a table of each."""
+    found = {}
+    for track in course.tracks:
+        tell(f"cars a world: {Path(track).stem}")
+        found[track] = sim_traffic.measure_worlds(track, arguments.cars_per_world, course.seconds, arguments.rounds)
+        print(
+            f"The simulator with several cars in a world, about {sim_traffic.CARS:,} in all, on {Path(track).stem}:\n"
+        )
+        print(table(*sim_traffic.table(found[track])) + "\n")
+    return found
 
 
 def _profile(course: Course, cars: int, table: Table) -> dict[str, Any]:

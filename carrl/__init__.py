@@ -7,6 +7,7 @@
     carrl.TrackEnv(track="paper", num_envs=64, seed=0)      the driving task as a TorchRL environment
     gymnasium.make("carrl/Track-v0", track="oval")          the same for Gymnasium, and make_vec for many cars
     carrl.sb3.make_vec_env(...)                             the same for Stable-Baselines3
+    carrl.GroupTrackEnv(...), carrl.parallel_env(...)       cars that share a world, for TorchRL's agents and PettingZoo
     carrl.Track.load("oval"), carrl.Track.random(seed=7)    roads: built in, files, made up
 
 What a world is made of: Vehicle, Bicycle, Sensor, DiscreteActions, ContinuousActions, Observation, Reward, Start. Every
@@ -24,8 +25,10 @@ _IMPORTED_AT = time.monotonic()
 
 if TYPE_CHECKING:
     from carrl import log, sb3, train
+    from carrl.env.group_env import GroupTrackEnv
     from carrl.env.gym_env import GymTrackEnv
     from carrl.env.gym_vector_env import GymVectorTrackEnv
+    from carrl.env.parallel_env import parallel_env
     from carrl.env.track_env import TrackEnv
     from carrl.export.policy.loaded import load_policy
     from carrl.sim.sensor import Sensor
@@ -42,6 +45,7 @@ __all__ = [
     "CarrlError",
     "ContinuousActions",
     "DiscreteActions",
+    "GroupTrackEnv",
     "GymTrackEnv",
     "GymVectorTrackEnv",
     "Observation",
@@ -57,6 +61,7 @@ __all__ = [
     "load_policy",
     "log",
     "paper_reward",
+    "parallel_env",
     "rays_and_last_action",
     "sb3",
     "train",
@@ -75,6 +80,7 @@ _HOMES = {
     "CarrlError": "carrl.errors",
     "ContinuousActions": "carrl.task.action",
     "DiscreteActions": "carrl.task.action",
+    "GroupTrackEnv": "carrl.env.group_env",
     "GymTrackEnv": "carrl.env.gym_env",
     "GymVectorTrackEnv": "carrl.env.gym_vector_env",
     "Observation": "carrl.task.observation",
@@ -88,6 +94,7 @@ _HOMES = {
     "VehicleModel": "carrl.sim.vehicle",
     "load_policy": "carrl.export.policy.loaded",
     "paper_reward": "carrl.task.reward",
+    "parallel_env": "carrl.env.parallel_env",
     "rays_and_last_action": "carrl.task.observation",
 }
 

@@ -20,14 +20,21 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         *(f"carrl.task.observation.{name}" for name in ("Rays", "Scans", "LastAction")),
         *(f"carrl.task.motion.{name}" for name in ("StateEntry", "Velocity", "LastControl", "WallContact")),
         *(f"carrl.task.road.{name}" for name in ("HeadingError", "TrackPosition", "Curvatures")),
+        *(f"carrl.task.traffic.{name}" for name in ("RaysOnCars", "NearestCars")),
     ),
     "reward": (
         *(f"carrl.task.reward.{name}" for name in ("Collision", "Proximity", "Gate", "Steering", "Shaping")),
         *(f"carrl.task.racing.{name}" for name in ("Progress", "Contact", "SpeedAlong", "Time")),
+        *(f"carrl.task.traffic.{name}" for name in ("Overtaking", "GapGained", "CarContact")),
     ),
     "end": tuple(
-        f"carrl.task.end.{name}" for name in ("EndAtContact", "SlideAlongWall", "NoProgress", "RunningBackwards")
+        f"carrl.task.end.{name}"
+        for name in (
+            *("EndAtContact", "SlideAlongWall", "NoProgress", "RunningBackwards"),
+            *("EndAtCarContact", "BumpIntoCars"),
+        )
     ),
+    "opponents": ("carrl.opponents.line.LineOpponents", "carrl.opponents.rule.RuleOpponents"),
     "start": ("carrl.task.episode.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
     "algorithm": (

@@ -10,13 +10,14 @@ from dataclasses import fields
 import pytest
 import torch
 
-from benchmarks import sim, sim_cells, sim_limit, sim_profile, sim_tables
+from benchmarks import sim, sim_cells, sim_limit, sim_profile, sim_tables, sim_traffic
 from benchmarks.child import BenchError
 from benchmarks.sim_cells import Cell, Course, drive_course, drive_for
 from benchmarks.sim_drives import CONTESTANTS, Contestant, LeftOutError, put_back, random_stations
 from benchmarks.sim_tables import Row
+from carrl.sim.others import CarContact
 from carrl.sim.sensor import Sensor
-from carrl.sim.simulator import CarState, Simulator
+from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.vehicle import Vehicle
 from carrl.task.action import steer3
 from carrl.tracks.track import Track
@@ -237,6 +238,34 @@ def test_the_race_prints_its_tables_and_keeps_every_round(measured, tmp_path, ca
     assert found["speed"]["VMAS, 64 walls, paper"] == {"4": [200.0] * 2, "16": [800.0] * 2}
     assert found["limit"] == [128_000.0] * 2
     assert found["profile"]["paper"] == {"cars": 16, "rows": [["all", "16"]], "resets": 0.25}
+
+
+def test_cars_a_world_are_compared_with_cars_alone(measured, monkeypatch, tmp_path, capsys):
+    cost = {"paper": {1: [300.0, 310.0, 320.0], 4: [341.0, 330.0, 360.0]}, "race": {1: [1000.0] * 3, 4: [900.0] * 3}}
+    monkeypatch.setattr(sim.sim_traffic, "measure_worlds", lambda track, counts, seconds, rounds: cost)
+    kept = tmp_path / "figures.json"
+    options = ["--no-race", "--cars-per-world", "1,4", "--markdown", "--track", "paper", "--json", str(kept)]
+    assert sim.main(options) == 0
+    printed = capsys.readouterr().out
+    assert "| the paper's car, 7 rays of 10 m | 4 | 341 | 330..360 | +10 % |" in printed
+    assert "| single_track, 19 rays of 80 m | 4 | 900 | 900..900 | -10 % |" in printed
+    assert json.loads(kept.read_text())["cars_per_world"]["paper"]["paper"]["4"] == [341.0, 330.0, 360.0]
+
+
+@pytest.mark.parametrize("name", ["paper", "race"])
+def test_worlds_whose_cars_touch_anything_begin_anew(name, monkeypatch):
+    monkeypatch.setattr(sim_traffic, "CARS", 9)
+    drive, cars = sim_traffic.make_drive(name, Track.load("grand_prix"), 4)
+    assert cars == 8
+    for _ in range(30):
+        drive()
+    contact = CarContact(torch.tensor([-1, 1, -1, -1]), *(torch.zeros(4) for _ in range(3)))
+    outcome = Outcome(
+        CarState.at(torch.zeros(4, 3)), torch.zeros(4, 1), torch.zeros(4, dtype=torch.bool), torch.zeros(4)
+    )
+    assert sim_traffic._ended(outcome, 1).tolist() == [False] * 4
+    outcome.contact = contact
+    assert sim_traffic._ended(outcome, 2).tolist() == [True, True, False, False]
 
 
 def test_without_spa_and_vmas_their_columns_are_left_out_with_a_reason(measured, monkeypatch, tmp_path, capsys):

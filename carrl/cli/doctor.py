@@ -37,6 +37,7 @@ EXTRAS = {
     "wandb": "logger=wandb",
     "mlflow": "logger=mlflow",
     "sb3": "Stable-Baselines3 on carrl/Track-v0",
+    "pettingzoo": "carrl.parallel_env",
 }
 """What each extra is for; those of pyproject.toml but for developers' own."""
 _TIMEOUT_S = 30.0

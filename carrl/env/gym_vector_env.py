@@ -82,6 +82,11 @@ class GymVectorTrackEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         check_options(options, ("num_envs", "max_episode_steps", "autoreset_mode"))
         check_render_mode(render_mode)
         self.task = make_task(track, num_envs, max_steps=max_episode_steps, **options)
+        if self.task.shares_worlds:
+            raise ConfigError(
+                "the cars of gymnasium.make_vec cannot share a world; use carrl.TrackEnv or carrl.parallel_env, or let "
+                "opponents drive the others"
+            )
         self.task.streams = self._streams = CarStreams(num_envs)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, _autoreset_mode(autoreset_mode)
         fps = 1 / self.task.simulator.vehicle.time_step

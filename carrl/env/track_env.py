@@ -3,9 +3,10 @@
 Shapes: `N` cars driven side by side, `R` rays.
 """
 
+import contextlib
 import inspect
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import torch
@@ -15,8 +16,10 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from carrl.errors import ConfigError, shown
+from carrl.sim.others import Others
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Simulator
+from carrl.sim.traffic import Opponents
 from carrl.sim.vehicle import POSE, VehicleModel
 from carrl.task.action import ActionMap, in_words
 from carrl.task.checks import seed_list, seed_number
@@ -47,6 +50,7 @@ class TrackEnv(EnvBase):
     | `station` | [N] float32 | way along the centreline from the start line, m; if a term asks where the car is |
     | `stalled` | [N] int64 | steps in a row without progress; if they end an episode |
     | `collided` | [N, 1] bool | touching a wall ended the episode; if something else may end one, too |
+    | `others` | [N] | state, station, gates ... of the opponents in each car's world, [N, M, ...]; if there are any |
 
     An action is a whole number of any integer type, and each car has one. A car whose episode has ended is to be reset,
     as TorchRL's collectors, `rollout` and `step_and_maybe_reset` do; as elsewhere in TorchRL `step` does not look at
@@ -69,7 +73,11 @@ class TrackEnv(EnvBase):
         observation: what it is told.
         reward: what a step earns; it counts true distances, whatever the sensor reads.
         start: where episodes start.
-        end: what ends them before their time; by default touching a wall.
+        end: what ends them before their time; by default touching a wall or another car.
+        cars_per_world: how many cars share a world, and see and touch each other; so many consecutive ones of the N, or
+            where there are opponents each one of the N and its opponents. A car whose episode ended starts anew where
+            there is room among the others; with opponents its whole world does.
+        opponents: what drives the other cars of each world; None if all cars are among the N.
         max_steps: length at which an episode is truncated, steps.
 
     Raises:
@@ -96,6 +104,8 @@ class TrackEnv(EnvBase):
         reward: Reward | None = None,
         start: Start | None = None,
         end: End | None = None,
+        cars_per_world: int = 1,
+        opponents: Opponents | None = None,
         max_steps: int = 1000,
     ) -> None:
         """Builds the simulator and declares the specs."""
@@ -114,10 +124,13 @@ class TrackEnv(EnvBase):
             reward=reward,
             start=start,
             end=end,
+            cars_per_world=cars_per_world,
+            opponents=opponents,
             max_steps=max_steps,
         )
         super().__init__(device=device, batch_size=[task.cars])
         self.task = task
+        self._cars_before_reset: CarState | None = None
         self._state_key = "pose" if self.state_names == POSE else "state"
         self._declare_specs()
         self._start_line = self._begin(task.start()) if task.starts_alike else None
@@ -166,6 +179,25 @@ class TrackEnv(EnvBase):
             return TensorDict({"action": action}, batch_size=self.batch_size, device=self.device)
         return tensordict.set("action", action)
 
+    def reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        """Puts cars at a start; see EnvBase. Those that start among others are told of them.
+
+        TorchRL 0.14's `step_and_maybe_reset` hands `_reset` nothing but the mask.
+        """
+        if not self.task.shares_worlds or tensordict is None or "_reset" not in tensordict:
+            return super().reset(tensordict, **options)
+        with self.among(tensordict):
+            return super().reset(tensordict, **options)
+
+    @contextlib.contextmanager
+    def among(self, tensordict: TensorDictBase) -> Iterator[None]:
+        """Lets cars that start meanwhile find their place among these cars, [N]."""
+        self._cars_before_reset = self._cars(tensordict)
+        try:
+            yield
+        finally:
+            self._cars_before_reset = None
+
     def _reset(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         """All cars at the start, of which EnvBase takes those that `_reset` names."""
         if self._start_line is not None:
@@ -173,10 +205,17 @@ class TrackEnv(EnvBase):
         if tensordict is None or "_reset" not in tensordict:
             return self._begin(self.task.start())
         wanted = tensordict["_reset"].view(-1)
-        return self._begin(self.task.start(wanted), wanted)
+        return self._begin(self.task.start(wanted, self._cars_before_reset), wanted)
+
+    def _cars(self, tensordict: TensorDictBase) -> CarState:
+        """Where the cars are, with their stations if those are kept."""
+        cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
+        return replace(cars, station=tensordict["station"]) if "station" in self.task.carried else cars
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
+        if self.task.has_opponents:
+            cars.others = Others(*(tensordict["others", field.name] for field in fields(Others)))
         state = EpisodeState(cars, tensordict["step"], tensordict["last_action"])
         if self.task.carried:
             state = self._carrying(state, tensordict)
@@ -239,11 +278,13 @@ class TrackEnv(EnvBase):
             values[key] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _as_dict(self, now: EpisodeStart | StepResult) -> dict[str, Tensor]:
+    def _as_dict(self, now: EpisodeStart | StepResult) -> dict[str | tuple[str, str], Tensor]:
         """The state and the observation by the names of the keys."""
         state, cars = now.state, now.state.cars
         carried = {"station": cars.station, "stalled": state.stalled, "collided": self._collided(state)}
+        others = vars(cars.others) if self.task.has_opponents else {}
         return {name: value for name, value in carried.items() if value is not None} | {
+            **{("others", name): value for name, value in others.items()},
             "observation": now.observation,
             "pose": cars.pose if self._state_key == "state" else cars.state,
             self._state_key: cars.state,
@@ -257,7 +298,7 @@ class TrackEnv(EnvBase):
     def _collided(self, state: EpisodeState) -> Tensor | None:
         """Where touching a wall ended the episode, [N, 1], bool; None where nothing else ends one."""
         end, contact = self.task.end, state.contact
-        if not end.has_others or contact is None:
+        if not self.task.may_end_otherwise or contact is None:
             return None
         return contact[:, None] if end.slide is None else torch.zeros_like(contact[:, None])
 
@@ -284,18 +325,33 @@ class TrackEnv(EnvBase):
             state["station"] = Unbounded((cars,), dtype=torch.float32)
         if "stalled" in task.carried:
             state["stalled"] = count.clone()
+        if task.has_opponents:
+            state["others"] = self._others_spec(task.simulator.cars_per_world - 1)
         low, high = task.observation_bounds
         self.observation_spec = Composite(
             observation=Bounded(low.expand(cars, -1), high.expand(cars, -1), dtype=torch.float32),
             reward_terms=numbers(len(task.reward.term_names)),
             **{"pose": numbers(3), **state},
-            **({"collided": flag.clone()} if task.end.has_others else {}),
+            **({"collided": flag.clone()} if task.may_end_otherwise else {}),
             shape=(cars,),
         ).to(self.device)
         self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,)).to(self.device)
         self.reward_spec = Unbounded((cars, 1), dtype=torch.float32).to(self.device)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(cars,)).to(
             self.device
+        )
+
+    def _others_spec(self, others: int) -> Composite:
+        """Of the opponents of each car's world, so many."""
+        cars = self.batch_size[0]
+        shape, size = (cars, others), len(self.state_names)
+        number, count = Unbounded(shape, dtype=torch.float32), Unbounded(shape, dtype=torch.int64)
+        return Composite(
+            state=Unbounded((*shape, size), dtype=torch.float32),
+            next_gate=count,
+            gates_passed=count.clone(),
+            **{name: number.clone() for name in ("station", "lane", "pace")},
+            shape=(cars,),
         )
 
 

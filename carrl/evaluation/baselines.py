@@ -14,6 +14,7 @@ from torchrl.data import Categorical
 from carrl.errors import ConfigError
 from carrl.evaluation.rollout import Policy
 from carrl.sim.sensor import Sensor
+from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ActionMap, ContinuousActions, steer3
 from carrl.task.episode import ObservationContext
 from carrl.task.observation import Observation, Part, Rays, rays_only
@@ -39,9 +40,18 @@ def rule_of(world: World) -> tuple[World, Policy]:
     Raises:
         ConfigError: it knows no such car.
     """
-    vehicle = world.vehicle
+    observation, action, policy = rule_for(world.vehicle, world.sensor)
+    return replace(world, observation=observation, action=action), policy
+
+
+def rule_for(vehicle: VehicleModel, sensor: Sensor) -> tuple[Observation, ActionMap, Policy]:
+    """What the hand-written baseline sees, what it chooses among, and what it does.
+
+    Raises:
+        ConfigError: it knows no such car.
+    """
     if vehicle.control_names == ("steer",):
-        return replace(world, observation=rays_only(), action=steer3()), rule_policy
+        return rays_only(), steer3(), rule_policy
     known = ("steer", *_PEDALS, "speed")
     if "speed" not in vehicle.state_names or not set(vehicle.control_names) <= set(known):
         raise ConfigError(
@@ -49,11 +59,9 @@ def rule_of(world: World) -> tuple[World, Policy]:
             f"{type(vehicle).__name__} has {', '.join(vehicle.control_names)}"
         )
     sees = Observation({"rays": Rays(), "speed": _Speed(vehicle.state_names.index("speed"))})
-    action = ContinuousActions(vehicle.control_names)
     top_speed = vehicle.step_length / vehicle.time_step
-    return replace(world, observation=sees, action=action), _PedalRule(
-        world.sensor.max_range, vehicle.control_names, top_speed
-    )
+    driver = _PedalRule(sensor.max_range, vehicle.control_names, top_speed)
+    return sees, ContinuousActions(vehicle.control_names), driver
 
 
 def rule_policy(readings: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from carrl.racing.cross_sections import CrossSections, Floats
 from carrl.racing.models import Car, PointMass
 from carrl.racing.optimal_control import LapProblem, Solution, Unknowns
 from carrl.racing.reference_line import ReferenceLine
-from carrl.racing.speed_profile import fastest_speeds
+from carrl.racing.speed_profile import possible_speeds
 from carrl.sim.driven import GRAVITY
 from carrl.sim.single_track import SingleTrack
 
@@ -190,7 +190,7 @@ def _lap_along(sections: CrossSections, car: SingleTrack, offset: Floats) -> Unk
     direction = np.arctan2(*np.flip(np.roll(places, -1, axis=0) - places, axis=1).T)
     turns = np.angle(np.exp(1j * (direction - np.roll(direction, 1))))
     bends = turns / ((ways + np.roll(ways, 1)) / 2)
-    speed = fastest_speeds(np.abs(bends), ways, car)
+    speed = possible_speeds(bends, ways, car)
     mean, grip = (speed + np.roll(speed, -1)) / 2, car.friction * GRAVITY
     controls = np.stack([(np.roll(speed, -1) ** 2 - speed**2) / (2 * ways), speed**2 * bends], axis=1) / grip
     return Unknowns(np.stack([offset, np.zeros_like(offset), speed], axis=1), controls, ways / mean)

@@ -11,6 +11,7 @@ import numpy as np
 from carrl.racing.cross_sections import Floats
 from carrl.racing.reference_line import ReferenceLine
 from carrl.sim.driven import GRAVITY
+from carrl.sim.kinematic import Kinematic
 from carrl.sim.single_track import SingleTrack
 
 _PLACES = 4
@@ -22,29 +23,32 @@ _LAPS = 2
 def forward_backward(line: ReferenceLine, car: SingleTrack) -> float:
     """The lap time along a line of a point mass with the grip and the power of a car, s."""
     count = _PLACES * len(line)
-    distance, step = np.arange(count) * line.length / count, np.full(count, line.length / count)
+    distance, step = np.arange(count) * line.length / count, line.length / count
     closed = line.closed()
-    speed = fastest_speeds(np.abs(np.interp(distance, closed.distance, closed.curvature)), step, car)
+    speed = possible_speeds(np.interp(distance, closed.distance, closed.curvature), step, car)
     return float((2 * step / (speed + np.roll(speed, -1))).sum())
 
 
-def fastest_speeds(bends: Floats, steps: Floats, car: SingleTrack) -> Floats:
-    """At each place of a closed line, [S], m/s.
+def possible_speeds(curvature: Floats, steps: Floats | float, car: SingleTrack | Kinematic) -> Floats:
+    """The fastest speeds of a point mass along a closed way, [S], m/s.
 
     Cornering limits the speed at each place; then braking limits it from place to place backwards, and grip and power
     forwards.
 
     Args:
-        bends: curvatures without signs, [S], 1/m.
-        steps: from each place to the next, [S], m.
-        car: whose grip and power the point mass has.
+        curvature: of the way at each place, [S], 1/m.
+        steps: from each place to the next, [S], or everywhere, m.
+        car: whose grip, power and brakes it has.
     """
-    grip = car.friction * GRAVITY
+    bends, grip = np.abs(curvature), car.friction * GRAVITY
+    ahead = np.broadcast_to(steps, bends.shape)
+    back = np.roll(ahead[::-1], -1)
     speed = np.sqrt(grip / bends.clip(grip / car.max_speed**2))
+    drive, brakes = car.max_acceleration, getattr(car, "max_braking", car.max_acceleration)
+    engine = car if isinstance(car, SingleTrack) else None
     for _ in range(_LAPS):
-        speed = _limited(speed, bends, steps, grip, min(grip, car.max_acceleration), car)
-        backwards = np.roll(steps[::-1], -1)
-        speed = _limited(speed[::-1], bends[::-1], backwards, grip, min(grip, car.max_acceleration), None)[::-1]
+        speed = _limited(speed, bends, ahead, grip, min(grip, drive), engine)
+        speed = _limited(speed[::-1], bends[::-1], back, grip, min(grip, brakes), None)[::-1]
     return speed
 
 

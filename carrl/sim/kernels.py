@@ -110,6 +110,12 @@ class Kernels:
         counts = [as_array(count, torch.int64) for count in (next_gate, gates_passed, track)]
         return tuple(map(torch.from_numpy, (after, *self._follow(self._world, before, after, *counts))))
 
+    def follow(self, before: Tensor, after: Tensor, *counts: Tensor) -> tuple[Tensor, ...]:
+        """What `step` returns but for the states, which are given; the counts are the same three."""
+        states = [as_array(state, torch.float32) for state in (before, after)]
+        arrays = [as_array(count, torch.int64) for count in counts]
+        return tuple(map(torch.from_numpy, self._follow(self._world, *states, *arrays)))
+
     def _move_in_torch(self, state: np.ndarray, control: np.ndarray, _: np.ndarray) -> np.ndarray:
         """The step of a vehicle without machine code."""
         return as_array(self._vehicle.step(torch.from_numpy(state), torch.from_numpy(control)), torch.float32)

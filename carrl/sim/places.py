@@ -46,7 +46,7 @@ class Place(Rows):
     side: Tensor
 
 
-class _Roads(NamedTuple):
+class Roads(NamedTuple):
     """Centrelines end to end, float64; each segment begins at the point of its index.
 
     Attributes:
@@ -75,6 +75,9 @@ class Places:
         roads: points of the centreline, the left and the right wall of each track, [P, 3, 2], m.
         gate_counts: how many gates each track has.
         step_length: the longest way of a car between two places, m.
+
+    Attributes:
+        roads: all that is known of them.
     """
 
     def __init__(self, roads: Sequence[Tensor], gate_counts: Sequence[int], step_length: float) -> None:
@@ -82,7 +85,7 @@ class Places:
         each = [_road(road.double().numpy()) for road in roads]
         ends, stations, headings, room, lengths, turns = zip(*each, strict=True)
         first = np.cumsum([0] + [len(road) for road in roads])
-        self._roads = _Roads(
+        self.roads = Roads(
             ends=np.concatenate(ends),
             stations=np.concatenate(stations),
             headings=np.concatenate(headings),
@@ -91,8 +94,8 @@ class Places:
             lengths=np.array(lengths),
             turns=np.array(turns),
         )
-        self._gate_gaps = self._roads.lengths / np.array(gate_counts)
-        widest = np.maximum.reduceat(self._roads.room[:, [0, 2]].sum(axis=1), first[:-1])
+        self._gate_gaps = self.roads.lengths / np.array(gate_counts)
+        widest = np.maximum.reduceat(self.roads.room[:, [0, 2]].sum(axis=1), first[:-1])
         self._reach = 2 * step_length + widest  # a corner's sides are no further apart for a car between the walls
         none, nothing = torch.zeros(0, dtype=torch.int64), torch.zeros(0)
         self.after(torch.zeros(0, 3), none, nothing)  # compiles at once, so that no step takes longer than the others
@@ -122,14 +125,14 @@ class Places:
             1 / radius, [B, K], float32, 1/m, left positive.
         """
         ahead = [as_array(each.cpu(), torch.float64) for each in (station, begin, spacing)]
-        found = _curvatures(self._roads, as_array(track.cpu(), torch.int64), *ahead, count)
+        found = _curvatures(self.roads, as_array(track.cpu(), torch.int64), *ahead, count)
         return torch.from_numpy(found).to(station.device)
 
     def _find(
         self, pose: Tensor, track: Tensor, near: np.ndarray, reach: np.ndarray, progress: float | None = None
     ) -> Place:
         cars = as_array(pose.cpu(), torch.float32), as_array(track.cpu(), torch.int64)
-        place = Place(*(torch.from_numpy(each).to(pose.device) for each in _find(self._roads, *cars, near, reach)))
+        place = Place(*(torch.from_numpy(each).to(pose.device) for each in _find(self.roads, *cars, near, reach)))
         if progress is not None:
             place.progress = torch.full_like(place.progress, progress)
         return place
@@ -158,7 +161,7 @@ def stations_along(track: "Track", poses: Tensor, start: float, step_length: flo
 
 
 def _road(road: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, float]:
-    """What `_Roads` has of one track, [P, 3, 2]: the ends, stations, headings, room, the length and the turn."""
+    """What `Roads` has of one track, [P, 3, 2]: the ends, stations, headings, room, the length and the turn."""
     after = np.roll(road, -1, axis=0)
     way = after[:, 0] - road[:, 0]
     steps = np.hypot(way[:, 0], way[:, 1])
@@ -183,7 +186,7 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 @compiled
 def _find(
-    roads: _Roads, state: np.ndarray, track: np.ndarray, near: np.ndarray, reach: np.ndarray
+    roads: Roads, state: np.ndarray, track: np.ndarray, near: np.ndarray, reach: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """The entries of `Place` for cars [B, S], no further than the reach [B] from the stations near them [B], m."""
     cars = len(state)
@@ -244,7 +247,7 @@ def _find(
 
 @compiled
 def _curvatures(
-    roads: _Roads, track: np.ndarray, station: np.ndarray, begin: np.ndarray, spacing: np.ndarray, count: int
+    roads: Roads, track: np.ndarray, station: np.ndarray, begin: np.ndarray, spacing: np.ndarray, count: int
 ) -> np.ndarray:
     """What `Places.curvatures` tells, [B, K]."""
     cars = len(track)

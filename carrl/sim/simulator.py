@@ -23,6 +23,7 @@ from carrl.sim.geometry import (
     ray_distances,
     rectangle_touches,
 )
+from carrl.sim.others import CarContact, Others
 from carrl.sim.places import Place, Places
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import Disc, VehicleModel
@@ -46,6 +47,8 @@ class CarState(Rows):
         gates_passed: since the start, [B], int64.
         track: index of the track that the car drives on, [B], int64.
         station: of the car's projection on the centreline, [B], float32, m; None where no term of a task needs it.
+        others: in the same world; None where each car is alone, or where the others are rows, too, and no term of a
+            task needs them here.
     """
 
     state: Tensor
@@ -53,6 +56,7 @@ class CarState(Rows):
     gates_passed: Tensor
     track: Tensor
     station: Tensor | None = None
+    others: Others | None = None
 
     @property
     def pose(self) -> Tensor:
@@ -76,6 +80,8 @@ class Outcome(Rows):
         collided: the body touched a wall on the way, [B], bool.
         gates_passed: in this step, [B], int64; 0 where it collided, unless cars slide along walls.
         place: where on the road the cars are after the step; None where no term of a task needs it.
+        contact: with other cars; None where each car is alone.
+        on_car: whether each ray ends at a car, [B, R], bool; None where each car is alone.
     """
 
     cars: CarState
@@ -83,6 +89,8 @@ class Outcome(Rows):
     collided: Tensor
     gates_passed: Tensor
     place: Place | None = None
+    contact: CarContact | None = None
+    on_car: Tensor | None = None
 
     @property
     def progress(self) -> Tensor:
@@ -229,6 +237,10 @@ class Simulator:
 
     def sense(self, cars: CarState) -> Tensor:
         """Distances to the wall along each ray, [B, R], float32, m, in [0, max_range]."""
+        return self._walls_ahead(cars)
+
+    def _walls_ahead(self, cars: CarState) -> Tensor:
+        """The same, also of cars that share their worlds with others."""
         if self._kernels:
             return self._kernels.sense(cars.state, cars.next_gate, cars.track)
         heading = cars.state[:, 2:3].double()
@@ -262,6 +274,18 @@ class Simulator:
                 return Outcome(CarState(state, next_gate, gates_passed, cars.track), ranges, collided, passed)
         else:
             state = self.vehicle.step(cars.state, control)
+        return self._followed(cars, state)
+
+    def follow(self, cars: CarState, state: Tensor) -> Outcome:
+        """What becomes of cars that drive to these states, [B, S], in one step; they end in a wall that they touch."""
+        if not self._kernels or self.vehicle.body.by_corners:
+            return self._followed(cars, state)
+        counts = cars.next_gate, cars.gates_passed, cars.track
+        next_gate, gates_passed, ranges, collided, passed = self._kernels.follow(cars.state, state, *counts)
+        return Outcome(CarState(state, next_gate, gates_passed, cars.track), ranges, collided, passed)
+
+    def _followed(self, cars: CarState, state: Tensor) -> Outcome:
+        """The same without machine code."""
         begin, end = cars.state[:, :2].double(), state[:, :2].double()
         walls = self._walls_near(replace(cars, state=state))
         body = self.vehicle.body
@@ -273,7 +297,7 @@ class Simulator:
         passed = torch.where(collided, 0, self._count_gates(begin, end, cars))
         next_gate = (cars.next_gate + passed) % self.gate_counts[cars.track]
         after = CarState(state, next_gate, cars.gates_passed + passed, cars.track)
-        return Outcome(after, self.sense(after), collided, passed)
+        return Outcome(after, self._walls_ahead(after), collided, passed)
 
     def _slid(self, cars: CarState, outcome: Outcome, kept: float) -> Outcome:
         """The outcome with those cars outside of the walls that touched one."""
@@ -289,7 +313,7 @@ class Simulator:
         passed = self._count_gates(before.pose[:, :2].double(), pose[:, :2].double(), before)
         next_gate = (before.next_gate + passed) % self.gate_counts[before.track]
         after = CarState(state, next_gate, before.gates_passed + passed, before.track)
-        return outcome.replacing(touched, Outcome(after, self.sense(after), touched[touched], passed))
+        return outcome.replacing(touched, Outcome(after, self._walls_ahead(after), touched[touched], passed))
 
     def place(self, cars: CarState) -> Place:
         """Where on the road the cars are, near their last stations; without those, on the way to their next gates."""

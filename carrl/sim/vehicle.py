@@ -25,6 +25,8 @@ LEAST, MOST = 1e-9, 1e9
 """Bounds of every parameter of a car, m, m/s, s or degrees; far off, so that none of their products overflows."""
 POSE = ("x", "y", "heading")
 """What every state begins with: m, m, rad."""
+HULL = 0.95, 0.59
+"""How far the car that is drawn for a disc reaches ahead and to the side, in radii."""
 
 Kernel = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """States [N, S], float32, controls [N, C], float32, and the model's constants [K], float64, to the next states."""
@@ -50,6 +52,11 @@ class Disc:
     def reach(self) -> float:
         """From the middle of the car to the point of the body that is furthest off, m."""
         return self.radius
+
+    @property
+    def outline(self) -> "Rectangle":
+        """What other cars see and touch: the rectangle about the car that is drawn."""
+        return Rectangle(2 * HULL[0] * self.radius, 2 * HULL[1] * self.radius)
 
     @property
     def measures(self) -> tuple[float, float, float]:
@@ -91,6 +98,11 @@ class Rectangle:
     def reach(self) -> float:
         """From the middle of the car to a corner, m."""
         return math.hypot(self.length, self.width) / 2
+
+    @property
+    def outline(self) -> "Rectangle":
+        """What other cars see and touch."""
+        return self
 
     @property
     def measures(self) -> tuple[float, float, float]:
@@ -168,16 +180,29 @@ class VehicleModel(ABC):
             direction: along the wall, the one that is nearer to the heading, [N], rad.
             kept: share of the speed along the wall that is kept.
         """
+        names = self.state_names
+        if "speed" not in names:
+            return self.going_on(state, pose)
+        slip = state[:, names.index("slip")] if "slip" in names else torch.zeros_like(direction)
+        along = state[:, names.index("speed")] * (state[:, 2] + slip - direction).cos()
+        return self.going_on(state, pose, kept * along.clamp(min=0))
+
+    def going_on(self, state: Tensor, pose: Tensor, speed: Tensor | None = None) -> Tensor:
+        """The states [N, S] of cars that something in their way has left elsewhere; they neither slip nor turn.
+
+        Args:
+            state: after the step, as if there were nothing in their way, [N, S].
+            pose: [N, 3].
+            speed: [N], m/s; None for cars that have but one.
+        """
         after = dict(zip(self.state_names, state.unbind(-1), strict=True))
-        still = torch.zeros_like(direction)
-        if "speed" in after:
-            speed, course = after["speed"], state[:, 2] + after.get("slip", still)
-            after["speed"] = kept * (speed * (course - direction).cos()).clamp(min=0)
+        if speed is not None:
             if "acceleration" in after:
-                after["acceleration"] = after["acceleration"] + (after["speed"] - speed) / self.time_step
+                after["acceleration"] = after["acceleration"] + (speed - after["speed"]) / self.time_step
+            after["speed"] = speed
         for name in ("slip", "yaw_rate", "lateral_acceleration"):
             if name in after:
-                after[name] = still
+                after[name] = torch.zeros_like(pose[:, 0])
         return torch.cat([pose, torch.stack(list(after.values()), dim=-1)[:, len(POSE) :]], dim=-1)
 
     @abstractmethod
@@ -208,6 +233,18 @@ class ConstantSpeed(VehicleModel):
     def step_length(self) -> float:
         """Distance driven in one step along the way, m."""
         return self.speed * self.time_step
+
+    def step(self, state: Tensor, control: Tensor) -> Tensor:
+        """At its speed."""
+        return self.step_at(state, control, torch.ones_like(state[:, 0]))
+
+    def step_at(self, state: Tensor, control: Tensor, pace: Tensor) -> Tensor:
+        """Drives one step at a share of the speed, [N], on the same circles: see `step`.
+
+        Raises:
+            ConfigError: the vehicle cannot.
+        """
+        raise ConfigError(f"a {type(self).__name__} cannot drive slower than it does; it has no step_at")
 
 
 @compiled
@@ -256,10 +293,10 @@ class Vehicle(ConstantSpeed):
         """Distance, m, and change of heading, rad, of a step."""
         return self.step_length, self.yaw_per_step
 
-    def step(self, state: Tensor, control: Tensor) -> Tensor:
+    def step_at(self, state: Tensor, control: Tensor, pace: Tensor) -> Tensor:
         """Turns first, then drives."""
-        heading = state[:, 2] + control[:, 0].to(state) * self.yaw_per_step
-        return _placed(state, self.step_length, heading, heading)
+        heading = state[:, 2] + control[:, 0].to(state) * self.yaw_per_step * pace
+        return _placed(state, self.step_length * pace, heading, heading)
 
 
 @compiled
@@ -328,17 +365,17 @@ class Bicycle(ConstantSpeed):
         """Way of a step, m, wheelbase, m, and steering angle, rad."""
         return self.step_length, self.wheelbase, math.radians(self.steering_angle)
 
-    def step(self, state: Tensor, control: Tensor) -> Tensor:
+    def step_at(self, state: Tensor, control: Tensor, pace: Tensor) -> Tensor:
         """The chord of the arc."""
-        angle = control[:, 0].double() * math.radians(self.steering_angle)
+        angle, way = control[:, 0].double() * math.radians(self.steering_angle), self.step_length * pace.double()
         slip = (angle.tan() / 2).atan()
-        half_yaw = self.step_length * slip.sin() / self.wheelbase
-        chord = self.step_length * torch.sinc(half_yaw / math.pi)
+        half_yaw = way * slip.sin() / self.wheelbase
+        chord = way * torch.sinc(half_yaw / math.pi)
         direction = state[:, 2] + (slip + half_yaw).to(state)
         return _placed(state, chord.to(state), direction, state[:, 2] + (2 * half_yaw).to(state))
 
 
-def _placed(state: Tensor, distance: Tensor | float, direction: Tensor, heading: Tensor) -> Tensor:
+def _placed(state: Tensor, distance: Tensor, direction: Tensor, heading: Tensor) -> Tensor:
     """The poses [N, 3] so far from the states [N, S] in this direction [N], with this heading [N]."""
     x, y = state[:, 0] + distance * direction.cos(), state[:, 1] + distance * direction.sin()
     return torch.stack([x, y, torch.remainder(heading + math.pi, 2 * math.pi) - math.pi], dim=-1)

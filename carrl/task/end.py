@@ -53,6 +53,35 @@ class SlideAlongWall:
 
 
 @dataclass(frozen=True)
+class EndAtCarContact:
+    """Touching another car ends the episodes of both."""
+
+    def __call__(self, step: StepContext) -> Tensor:
+        """Where the car touched another one."""
+        contact = step.outcome.contact
+        return torch.zeros_like(step.outcome.collided) if contact is None else contact.touched
+
+
+@dataclass(frozen=True)
+class BumpIntoCars:
+    """Touching another car ends nothing: the two push each other, and lose speed.
+
+    Attributes:
+        kept: share of its speed after the push that a car keeps, 0..1.
+    """
+
+    kept: float = 0.9
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a share out of its range."""
+        number("end: kept of BumpIntoCars", self.kept, 0, 1, "a share between 0 and 1")
+
+    def __call__(self, step: StepContext) -> Tensor:
+        """Nowhere."""
+        return torch.zeros_like(step.outcome.collided)
+
+
+@dataclass(frozen=True)
 class NoProgress:
     """A car that gets no further ends its episode.
 
@@ -108,7 +137,8 @@ class End:
     """What ends an episode; any of the terms does.
 
     Attributes:
-        terms: by name, one of them an `EndAtContact` or a `SlideAlongWall`.
+        terms: by name, one of them an `EndAtContact` or a `SlideAlongWall`. Unless there is an `EndAtCarContact` or a
+            `BumpIntoCars`, touching another car ends an episode where touching a wall does.
     """
 
     terms: Mapping[str, EndTerm]
@@ -124,11 +154,23 @@ class End:
             )
         if sum(isinstance(term, NoProgress) for term in self.terms.values()) > 1:
             raise ConfigError("end has more than one NoProgress; leave one")
+        if sum(isinstance(term, EndAtCarContact | BumpIntoCars) for term in self.terms.values()) > 1:
+            raise ConfigError("end has more than one term that says what touching a car does; leave one")
 
     @property
     def slide(self) -> float | None:
         """Share of its speed along a wall that a car keeps in a step of contact; None where that ends its episode."""
         return next((term.kept for term in self.terms.values() if isinstance(term, SlideAlongWall)), None)
+
+    @property
+    def bump(self) -> float | None:
+        """Share of its speed that a car keeps which touches another one; None where that ends its episode."""
+        return next((term.kept for term in self.terms.values() if isinstance(term, BumpIntoCars)), self._bump)
+
+    @property
+    def _bump(self) -> float | None:
+        """The same as walls have it."""
+        return None if any(isinstance(term, EndAtCarContact) for term in self.terms.values()) else self.slide
 
     @property
     def has_others(self) -> bool:
@@ -144,7 +186,8 @@ class End:
         first, *others = (term(step) for term in self.terms.values())
         for ends in others:
             first = first | ends
-        return first
+        contact = step.outcome.contact
+        return first if contact is None or self.bump is not None else first | contact.touched
 
 
 def end_at_contact() -> End:

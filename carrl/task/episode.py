@@ -13,7 +13,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from carrl.errors import ConfigError
+from carrl.errors import ConfigError, shown
 from carrl.rows import Rows
 from carrl.sim.places import Place
 from carrl.sim.simulator import CarState, Outcome, Simulator
@@ -25,6 +25,7 @@ from carrl.tracks.track import Track
 
 MOST_SPEED = 1000.0
 """Of a car at its start, m/s."""
+ORDERS = ("random", "first", "last")
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Start:
         reversed: drive every other episode, by chance, the other way round.
         speed: of a vehicle whose speed varies, m/s.
         speed_spread: by how much it may be more or less, m/s; at least 0 in any case.
+        gap: between two cars of a world, at least, in lengths of the car.
+        order: place of the car that learns among its opponents: `random`, `first` or `last`.
     """
 
     anywhere: bool = False
@@ -50,10 +53,15 @@ class Start:
     reversed: bool = False
     speed: float = 0.0
     speed_spread: float = 0.0
+    gap: float = 4.0
+    order: str = "random"
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a value out of its range."""
         number("start.offset", self.offset, 0, 1, "a share between 0 and 1")
+        number("start.gap", self.gap, 2, 1000, "between 2 and 1000 lengths of the car")
+        if self.order not in ORDERS:
+            raise ConfigError(f"start.order is {shown(self.order)}; it must be {', '.join(ORDERS)}")
         number("start.heading_jitter", self.heading_jitter, 0, 180, "between 0 and 180 degrees")
         for name in ("speed", "speed_spread"):
             number(f"start.{name}", getattr(self, name), 0, MOST_SPEED, f"between 0 and {MOST_SPEED:g} m/s")
@@ -173,6 +181,7 @@ class ObservationContext:
         wanted: which cars of the streams these N are, bool; None for all.
         place: where on the road the cars are; None unless a term needs it.
         seen: what the term that is asked told one step before, [N, width]; None at a start, or unless it needs that.
+        on_car: whether each ray ends at a car, [N, R], bool; None where each car is alone.
     """
 
     state: EpisodeState
@@ -183,6 +192,7 @@ class ObservationContext:
     wanted: Tensor | None = None
     place: Place | None = None
     seen: Tensor | None = None
+    on_car: Tensor | None = None
 
     def value(self, name: str) -> Tensor:
         """One entry of the vehicles' states by its name, [N].

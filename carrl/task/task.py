@@ -19,11 +19,14 @@ from carrl.rows import Rows, scalar
 from carrl.sim.places import Place
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Outcome, Simulator
+from carrl.sim.traffic import MOST_CARS as MOST_CARS_PER_WORLD
+from carrl.sim.traffic import Opponents, Traffic
 from carrl.sim.vehicle import Vehicle, VehicleModel
 from carrl.task.action import ActionMap, check_fits, fitted, steer3
 from carrl.task.checks import instance, whole_number
 from carrl.task.end import End, end_at_contact
 from carrl.task.episode import EpisodeState, ObservationContext, Start, StartSampler, StepContext
+from carrl.task.grid import GridSampler
 from carrl.task.observation import Observation, Part, rays_only
 from carrl.task.random_streams import RandomStreams
 from carrl.task.reward import Reward, paper_reward
@@ -115,7 +118,7 @@ class Task:
         self.action, self.observation = fitted(action or steer3(), simulator.vehicle), observation or rays_only()
         self.reward, self.end = reward or paper_reward(), end or end_at_contact()
         needs = _needs(self.observation.terms, self.reward.terms, self.end.terms)
-        self._needs_place = "place" in needs
+        self._needs_place, self._needs_others = "place" in needs, "others" in needs
         carried = {"place": "station", "stalled": "stalled", "seen": "seen"}
         self.carried = tuple(name for need, name in carried.items() if need in needs)
         self.cars = cars * len(seeds)
@@ -124,7 +127,11 @@ class Task:
             raise ConfigError(f"env.num_envs is {cars}; it must be so few that {readings} rays become {MOST_READINGS}")
         self._one, self._most_steps = scalar(1), scalar(self.max_steps)
         self.streams = RandomStreams(seeds, cars)
-        self._sampler = StartSampler(start or Start(), simulator, cars, len(seeds))
+        self._traffic: Any = simulator if isinstance(simulator, Traffic) else None
+        self._needs_others = self._needs_others and self.shares_worlds
+        self._check_traffic(cars)
+        sampler = GridSampler if isinstance(simulator, Traffic) else StartSampler
+        self._sampler = sampler(start or Start(), simulator, cars, len(seeds))  # type: ignore[arg-type]
 
     @property
     def observation_parts(self) -> tuple[Part, ...]:
@@ -144,19 +151,66 @@ class Task:
         """Whether every episode of a car starts in the same way."""
         return self._sampler.is_always_the_same and self.simulator.sensor.is_exact
 
-    def start(self, wanted: Tensor | None = None) -> EpisodeStart:
+    @property
+    def has_opponents(self) -> bool:
+        """Whether the cars' states have others, which are no rows."""
+        return self._traffic is not None and not self.shares_worlds
+
+    @property
+    def may_end_otherwise(self) -> bool:
+        """Whether something else than a wall may end an episode."""
+        return self.end.has_others or (self._traffic is not None and self.end.bump is None)
+
+    def trial_cars(self, streams: RandomStreams) -> CarState:
+        """Some cars at a start, drawn from streams of their own, to try the task's terms on."""
+        if self._traffic is None:
+            return self.simulator.start(torch.zeros(2))
+        return self._sampler(streams, torch.ones(self.cars, dtype=torch.bool))
+
+    @property
+    def shares_worlds(self) -> bool:
+        """Whether several of these cars are in the same world."""
+        return self._traffic is not None and self._traffic.rows_per_world > 1
+
+    def _check_traffic(self, cars: int) -> None:
+        """Raises ConfigError unless the cars make up whole worlds."""
+        if self._traffic is not None and cars % self._traffic.rows_per_world:
+            raise ConfigError(
+                f"env.num_envs is {cars}; it must be a multiple of env.cars_per_world, "
+                f"{self._traffic.rows_per_world}, unless there are opponents"
+            )
+
+    def start(self, wanted: Tensor | None = None, now: CarState | None = None) -> EpisodeStart:
         """New episodes of the `wanted` cars, [N] bool with K of them true; of all by default.
+
+        Args:
+            wanted: which.
+            now: where all cars are, [N], if some of those that start share a world with some that do not.
 
         Returns:
             Those alone, K instead of N.
         """
         wanted = torch.ones(self.cars, dtype=torch.bool) if wanted is None else wanted.cpu()
-        return self.start_at(self._sampler(self.streams, wanted), wanted)
+        if not self.shares_worlds:
+            return self.start_at(self._sampler(self.streams, wanted), wanted)
+        cars = self._sampler(self.streams, wanted, now)  # type: ignore[call-arg]
+        return self._start_among(cars, wanted, now)
+
+    def _start_among(self, cars: CarState, wanted: Tensor, now: CarState | None) -> EpisodeStart:
+        """New episodes of the `wanted` cars where they are among all [N], and see each other."""
+        state, place = self.begin_at(cars)
+        everyone = state.cars if now is None or bool(wanted.all()) else now.replacing(wanted, state.cars)
+        ranges, on_car = (each[wanted] for each in self._traffic.look(everyone))
+        if self._needs_others:
+            state = replace(state, cars=replace(state.cars, others=self._traffic.neighbours(everyone)[wanted]))
+        observation = self._observe(state, ranges, place, wanted=wanted, on_car=on_car)
+        return EpisodeStart(self._remembering(state, observation), observation)
 
     def start_at(self, cars: CarState, wanted: Tensor | None = None) -> EpisodeStart:
         """New episodes of cars that are here, [K], which are the `wanted` ones of all [N]; of all by default."""
         state, place = self.begin_at(cars)
-        observation = self._observe(state, self.simulator.sense(cars), place, wanted=wanted)
+        ranges, on_car = self._traffic.look(cars) if self._traffic else (self.simulator.sense(cars), None)
+        observation = self._observe(state, ranges, place, wanted=wanted, on_car=on_car)
         return EpisodeStart(self._remembering(state, observation), observation)
 
     def begin_at(self, cars: CarState) -> tuple[EpisodeState, Place | None]:
@@ -181,7 +235,7 @@ class Task:
         stalled = self.end.stalled(step) if "stalled" in self.carried else None
         after = EpisodeState(outcome.cars, state.step + self._one, action, None, stalled, outcome.collided)
         truncated = (after.step >= self._most_steps) > terminated  # the one without the other
-        observation = self._observe(after, outcome.ranges, outcome.place, state.seen)
+        observation = self._observe(after, outcome.ranges, outcome.place, state.seen, on_car=outcome.on_car)
         return StepResult(self._remembering(after, observation), observation, terms, terminated, truncated, outcome)
 
     def drive(self, state: EpisodeState, action: Tensor) -> StepContext:
@@ -190,7 +244,14 @@ class Task:
         if self._needs_place:
             place = self.simulator.place(replace(outcome.cars, station=state.cars.station))
             outcome = replace(outcome, cars=replace(outcome.cars, station=place.station), place=place)
+        if self._needs_others:
+            state = replace(state, cars=self._with_others(state.cars))
+            outcome = replace(outcome, cars=self._with_others(outcome.cars))
         return StepContext(state, action, outcome, self.simulator, self.action)
+
+    def _with_others(self, cars: CarState) -> CarState:
+        """The cars, each with the others of its world, which are rows, too."""
+        return replace(cars, others=self._traffic.neighbours(cars))
 
     def _remembering(self, state: EpisodeState, observation: Tensor) -> EpisodeState:
         """The state with the observation, if a term looks back at it."""
@@ -216,9 +277,10 @@ class Task:
         place: Place | None,
         seen: Tensor | None = None,
         wanted: Tensor | None = None,
+        on_car: Tensor | None = None,
     ) -> Tensor:
         return self.observation(
-            ObservationContext(state, ranges, self.simulator, self.action, self.streams, wanted, place, seen)
+            ObservationContext(state, ranges, self.simulator, self.action, self.streams, wanted, place, seen, on_car)
         )
 
 
@@ -240,6 +302,8 @@ def make_task(
     reward: Reward | None = None,
     start: Start | None = None,
     end: End | None = None,
+    cars_per_world: int = 1,
+    opponents: Opponents | None = None,
     max_steps: int = 1000,
 ) -> Task:
     """A task with a simulator of its own; the arguments are those of `TrackEnv`.
@@ -254,8 +318,18 @@ def make_task(
     sensor = instance("sensor", sensor, Sensor) or Sensor()
     end = instance("end", end, End) or end_at_contact()
     tracks = start.variants([each if isinstance(each, Track) else Track.load(each) for each in _listed(track)])
+    cars_per_world = whole_number("env.cars_per_world", cars_per_world, 1, MOST_CARS_PER_WORLD)
+    opponents = instance("opponents", opponents, Opponents)  # type: ignore[type-abstract]
+    if cars_per_world == 1 and opponents is not None:
+        raise ConfigError("there are opponents, and env.cars_per_world is 1; set it to 2 or more")
+    parts = tracks, vehicle, sensor, device
+    simulator = (
+        Simulator(*parts, slide=end.slide)
+        if cars_per_world == 1
+        else Traffic(*parts, slide=end.slide, cars_per_world=cars_per_world, bump=end.bump, opponents=opponents)
+    )
     return Task(
-        Simulator(tracks, vehicle, sensor, device, slide=end.slide),
+        simulator,
         num_envs,
         seeds,
         action=action,

@@ -170,6 +170,7 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         reward=world.reward,
         start=build_node("start", config["start"]),
         end=End(build_terms("end", config["end"])) if "end" in config else None,  # runs of before had no choice
+        opponents=build_node("opponents", config["opponents"]) if config.get("opponents") else None,
         device=device,
         seed=[part_seed(seed, "env") for seed in seeds],
     )

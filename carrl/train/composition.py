@@ -30,7 +30,7 @@ PLAIN_KEYS = {
     "search": "what `carrl tune` searches among; training does not read it",
 }
 """Keys of the configuration that are no groups, and what they are."""
-MAY_BE_EMPTY = ("learning_rate", "logger", "data")
+MAY_BE_EMPTY = ("learning_rate", "logger", "data", "opponents")
 """Groups of which an option may have no keys."""
 MAY_BE_ABSENT = (*MAY_BE_EMPTY, "gradient_clipping", "returns", "recorder", "resume", "search")
 _OTHERS_CALL_IT = {

@@ -1,0 +1,1 @@
+"""Cars that nobody learns to drive: what drives them among those that learn."""
