@@ -40,7 +40,6 @@ def test_cars_that_share_no_world_are_no_group():
 
 
 def parallel(**options):
-    pytest.importorskip("pettingzoo", reason="pip install 'carrl[pettingzoo]'")
     from carrl.env.parallel_env import parallel_env
 
     return parallel_env("paper", cars=3, **options)
