@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from carrl.env.gym_vector_env import GymVectorTrackEnv
     from carrl.env.parallel_env import parallel_env
     from carrl.env.track_env import TrackEnv
+    from carrl.errors import CarrlError
     from carrl.export.policy.loaded import load_policy
     from carrl.sim.sensor import Sensor
     from carrl.sim.vehicle import Bicycle, Vehicle, VehicleModel

@@ -38,9 +38,9 @@ terms: rewards in `reward` and `racing`, observations in `observation`, `motion`
 car can choose among.
 
 A `_target_` that you type, or that stands in your own files, may be any class or function that can be imported;
-[examples/own_parts](../examples/own_parts) has a vehicle, an observation, a reward, a network, a loss and a track format.
+`examples/own_parts` has a vehicle, an observation, a reward, a network, a loss and a track format.
 
-What each part of learning does to the first lap stands in [results.md](results.md#parts).
+What each part of learning does to the first lap stands in [The paper's track](experiments/paper-track.md#parts).
 
 ## What does not go together
 

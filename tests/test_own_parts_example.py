@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -46,6 +47,14 @@ def run(road, tmp_path, capsys):
 def test_it_is_short():
     lines = sum(len(path.read_text().splitlines()) for path in EXAMPLE.glob("*.py"))
     assert lines <= 100
+
+
+def test_the_page_about_own_parts_quotes_the_example_as_it_is():
+    page = (EXAMPLE.parents[1] / "docs" / "own-parts.md").read_text()
+    quoted = re.findall(r"^```(?:python|yaml)\n(?:# (conf/\S+)\n)?(.*?)^```", page, re.M | re.S)
+    assert len(quoted) == 10
+    for path, text in quoted:
+        assert text in (EXAMPLE / (path or "own_parts.py")).read_text()
 
 
 def test_a_run_says_how_to_open_it_again_and_opens_only_so(run, capsys):
