@@ -84,7 +84,7 @@ def _evaluate(arguments: argparse.Namespace) -> dict[str, Any]:
     for path, reason in refused.items():
         print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
     warn(road_warning(tracks or world.circuits.validation, world))
-    with kept_drives(arguments, f"{arguments.policy} policy of {name}") as log:
+    with kept_drives(arguments, f"{arguments.policy} policy of {name}") as kept:
         document = run.evaluate(
             tracks,
             arguments.starts,
@@ -93,9 +93,10 @@ def _evaluate(arguments: argparse.Namespace) -> dict[str, Any]:
             arguments.laps,
             limits=limits_for(arguments, tracks or world.circuits.validation, world.vehicle),
             speed_trace=arguments.speed_trace,
-            log=log,
+            log=kept.log,
         )
-    return document | {"run": name, **({"refused": refused} if refused else {})}
+    others = {"refused": refused, "files": kept.files}
+    return document | {"run": name, **{key: value for key, value in others.items() if value}}
 
 
 def _check_figures(arguments: argparse.Namespace) -> None:
@@ -219,6 +220,8 @@ def print_evaluation(document: Figures) -> None:
     if runs:
         rows = _rows_of_runs(runs, document["all"], styles)
         _print_figures(f"{name} of each run, all tracks", "seed", rows, styles)
+    for path, what in document.get("files", {}).items():
+        print(printable(f"{path}: {what}"))
 
 
 def print_sweep(document: Figures) -> None:

@@ -4,9 +4,10 @@ import argparse
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from carrl.errors import CarrlError, ConfigError, printable
+from carrl.errors import CarrlError, ConfigError
 from carrl.evaluation.asked import check_is_free
 from carrl.files import check_may_appear
 from carrl.render import picture_format
@@ -43,13 +44,13 @@ def check_flags(arguments: argparse.Namespace) -> None:
     if arguments.png is not None:
         picture_format(arguments.png, "--png")
     if arguments.video is not None:
-        check_video(arguments.video, "--video")
+        check_file(arguments.video, "--video")
     for out in (arguments.png, arguments.video):
         if out is not None:
             check_may_appear(out)
 
 
-def check_video(path: Path, flag: str, endings: tuple[str, ...] = VIDEOS) -> None:
+def check_file(path: Path, flag: str, endings: tuple[str, ...] = VIDEOS) -> None:
     """Raises CarrlError where a file's name ends in none of these, or a video cannot be made here."""
     if path.suffix.lower() not in endings:
         raise ConfigError(f"{flag} is '{path}'; its name must end in {', '.join(endings[:-1])} or {endings[-1]}")
@@ -65,27 +66,38 @@ def any_asked(arguments: argparse.Namespace) -> str | None:
     return next((f"--{name}" for name in ("log", *PICTURES) if getattr(arguments, name) is not None), None)
 
 
+@dataclass
+class Kept:
+    """What is kept of drives.
+
+    Attributes:
+        log: where their log is to be written; None if it has no use.
+        files: what is in each file that was written.
+    """
+
+    log: Path | None = None
+    files: dict[str, str] = field(default_factory=dict)
+
+
 @contextmanager
-def kept_drives(arguments: argparse.Namespace, name: str) -> Iterator[Path | None]:
-    """Where the log of the drives is to be written, if it has a use; afterwards the best of them is drawn.
+def kept_drives(arguments: argparse.Namespace, name: str) -> Iterator[Kept]:
+    """Says where the log of the drives is to be written; afterwards the best of them is drawn, if that is asked for.
 
     Args:
         arguments: with the flags.
         name: of what drives, for titles.
     """
     if any_asked(arguments) is None:
-        yield None
+        yield Kept()
         return
     with tempfile.TemporaryDirectory(prefix="carrl-") as folder:
-        log = arguments.log or Path(folder, "drives.mcap")
-        yield log
+        kept = Kept(arguments.log or Path(folder, "drives.mcap"))
+        yield kept
         outs = [out for out in (arguments.png, arguments.video) if out is not None]
-        shown = draw_best(log, outs, name) if outs else ""
-    if not getattr(arguments, "json", False):
+        shown = draw_best(kept.log, outs, name) if outs else ""
         if arguments.log is not None:
-            print(printable(f"{log}: what was driven, for carrl log ls, show, replay and export"))
-        for out in outs:
-            print(printable(f"{out}: {shown}"))
+            kept.files[str(arguments.log)] = "all drives, for carrl log ls, show, replay and export"
+        kept.files |= {str(out): shown for out in outs}
 
 
 def draw_best(log_path: Path, outs: list[Path], name: str) -> str:

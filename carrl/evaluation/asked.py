@@ -16,9 +16,9 @@ MOST_STARTS = 2**20
 
 
 def check_one_drives(runs: int) -> None:
-    """Raises ConfigError where there are several policies, whose drives one log cannot tell apart."""
+    """Raises ConfigError where there are several policies, whose drives one log, or one window, cannot tell apart."""
     if runs > 1:
-        raise ConfigError(f"what is driven is kept of one policy, and here are {runs}; name the folder of one of them")
+        raise ConfigError(f"one policy can be watched and kept at a time, and here are {runs}; name the folder of one")
 
 
 def check_is_free(log: str | Path) -> None:

@@ -179,7 +179,7 @@ def rollout(
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
     task = world.evaluation_task(simulator, len(stations))
     cars = simulator.start(stations, track)
-    limits, patience = laps * _time_limits(simulator, cars), _patience(simulator, cars)
+    limits, patience = laps * time_limits(simulator, cars), patience_of(simulator, cars)
     _check_limits(limits, simulator)
     timing = LapTiming(simulator, cars, stations, laps)
     now = task.start_at(cars)
@@ -214,14 +214,14 @@ def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     return _Moment(cars, nothing, nothing, nothing, terms, action)
 
 
-def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
+def time_limits(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps after which each car is stopped, [B], int64."""
     lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
     laps = SLOWEST if _has_speed(simulator) else TIME_LIMIT_LAPS
     return (laps * lap_steps).round().long().to(cars.track.device)[cars.track]
 
 
-def _patience(simulator: Simulator, cars: CarState) -> Tensor:
+def patience_of(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps without a gate after which each car is stopped, [B], int64."""
     vehicle = simulator.vehicle
     if not _has_speed(simulator):
