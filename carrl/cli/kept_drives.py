@@ -91,10 +91,11 @@ def kept_drives(arguments: argparse.Namespace, name: str) -> Iterator[Kept]:
         yield Kept()
         return
     with tempfile.TemporaryDirectory(prefix="carrl-") as folder:
-        kept = Kept(arguments.log or Path(folder, "drives.mcap"))
+        log = arguments.log or Path(folder, "drives.mcap")
+        kept = Kept(log)
         yield kept
         outs = [out for out in (arguments.png, arguments.video) if out is not None]
-        shown = draw_best(kept.log, outs, name) if outs else ""
+        shown = draw_best(log, outs, name) if outs else ""
         if arguments.log is not None:
             kept.files[str(arguments.log)] = "all drives, for carrl log ls, show, replay and export"
         kept.files |= {str(out): shown for out in outs}

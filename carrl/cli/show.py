@@ -52,7 +52,7 @@ class Show:
         self._observation = np.empty(0)
         self._laps: list[str] = []
         self._runs, self._paused, self._shows_help = True, False, False
-        self._number, self._end, self._left = 0, "", 0
+        self._number, self._gates, self._last_gate, self._end, self._left = 0, 0, 0, "", 0
         self._begin_lap()
         self._window = Window(SIZE, f"CarRL: {env.task.simulator.track.name}", instead)
 
@@ -95,7 +95,7 @@ class Show:
             return
         with torch.no_grad():
             action = self._saved.policy(torch.from_numpy(self._observation)[None])
-        self._observation, *_ = self._env.step(action[0])
+        self._observation, *_ = self._env.step(action[0].numpy())
         scene = self._env.snapshot()
         gates = self._env.task.simulator.track.gate_count
         if scene.gates_passed > self._gates:

@@ -79,7 +79,7 @@ class DriveLog:
                 self._path,
                 schema=self._schema,
                 attachments=attachments(self._config, self._tracks),
-                metadata=describe_run(task, self._seed, self._drives, self._tracks) | self._entries,
+                metadata={**describe_run(task, self._seed, self._drives, self._tracks), **self._entries},
             )
 
     def add(self, step: DrivenStep) -> None:

@@ -175,8 +175,9 @@ class Canvas:
 
     def discs(self, centres: Floats, radius: float, fill: str | None, edge: Stroke | None = None) -> None:
         """The same about several centres [N, 2] at once, which is quicker."""
-        vertices = (radius * _CIRCLE.vertices + centres[:, None]).reshape(-1, 2)
-        self.path(Outline(vertices, np.tile(_CIRCLE.codes, len(centres))), edge, fill)
+        vertices = (radius * np.asarray(_CIRCLE.vertices, np.float64) + centres[:, None]).reshape(-1, 2)
+        codes = np.tile(np.asarray(_CIRCLE.codes, Outline.code_type), len(centres))
+        self.path(Outline(vertices, codes), edge, fill)
 
     def box(self, left: float, top: float, width: float, height: float, fill: str, edge: Stroke | None = None) -> None:
         """Fills an upright rectangle."""

@@ -38,6 +38,7 @@ HOLD = 1.0
 """How long the last picture stays, s."""
 AREA = Area(0, 56, 900, 664)
 """Of the picture, below the title and beside the panel."""
+WORLD = Area(0, 0, EDGE, HEIGHT)
 PANEL = Area(EDGE, 0, WIDTH - EDGE, HEIGHT)
 MARGIN = 34.0
 """Around a track that is shown as a whole, for the numbers of the gates."""
@@ -125,11 +126,16 @@ class WorldPicture:
         if not self._follows:
             self._draw_track(canvas, self._whole)
 
+    def draw_behind(self, canvas: Canvas, step: int) -> None:
+        """Draws over that what does not move within a step: of a track that is shown as a whole, the line driven."""
+        if not self._follows:
+            self._draw_line(canvas, self._whole, step)
+
     def draw(self, canvas: Canvas, step: int, share: float, pose: Floats, ranges: Floats) -> None:
-        """Draws over that the step being made, of which a share is done.
+        """Draws over both the step being made, of which a share is done.
 
         Args:
-            canvas: with what `draw_still` draws.
+            canvas: with what `draw_still` and `draw_behind` draw.
             step: its row.
             share: that is done.
             pose: of the car, [3].
@@ -139,9 +145,11 @@ class WorldPicture:
         if self._follows:
             view = View(AREA, pose[:2], self._follow_scale)
             self._draw_track(canvas, view)
-        lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
-        light_gates(canvas, view, self._ground, FILM, lit)
-        self._draw_trail(canvas, view, step, pose)
+            self._draw_line(canvas, view, step)
+        if self._known[step]:
+            palette, shades = self._trail_colours
+            piece = np.stack([self.trace.poses[step, :2], pose[:2]])[None]
+            draw_line(canvas, view, piece, shades[step : step + 1], palette, FILM.line.width(view))
         scene = self.trace.scene
         reaches = ranges / scene.sensor_range
         colours = [VERMILLION if reach < NEAR else GREEN for reach in reaches]
@@ -191,12 +199,14 @@ class WorldPicture:
     def _trail_colours(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
         return trail_colours(self.trace, LIGHT)
 
-    def _draw_trail(self, canvas: Canvas, view: View, step: int, pose: Floats) -> None:
-        """The line to the car's pose, old parts of it in grey; where the log lacks a step there is none."""
-        way = np.vstack([self.trace.poses[: step + 1, :2], pose[None, :2]])
-        pieces, known = np.stack([way[:-1], way[1:]], axis=1), self._known[: step + 1]
-        palette, colours = [*self._trail_colours[0], OLD_TRAIL], self._trail_colours[1][: step + 1].copy()
-        colours[:-TRAIL] = len(palette) - 1
+    def _draw_line(self, canvas: Canvas, view: View, step: int) -> None:
+        """Gates just passed, and the line to where a step begins, old parts in grey; where a step is not logged is none."""
+        lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
+        light_gates(canvas, view, self._ground, FILM, lit)
+        way, known = self.trace.poses[: step + 1, :2], self._known[:step]
+        pieces = np.stack([way[:-1], way[1:]], axis=1)
+        palette, colours = [*self._trail_colours[0], OLD_TRAIL], self._trail_colours[1][:step].copy()
+        colours[: max(0, step + 1 - TRAIL)] = len(palette) - 1
         draw_line(canvas, view, pieces[known], colours[known], palette, FILM.line.width(view))
 
     def _draw_overview(self, canvas: Canvas, step: int, pose: Floats) -> None:
@@ -212,7 +222,7 @@ def _pictures(
     trace: EpisodeTrace, title: str, encoding: Encoding, progress: Callable[[int, int], None]
 ) -> Iterator[NDArray[np.uint8]]:
     """Every picture of the video, the last one as often as it takes to hold it."""
-    canvas, still, figures = (PixelCanvas(WIDTH, HEIGHT, encoding.width / WIDTH) for _ in range(3))
+    canvas, still, behind, figures = (PixelCanvas(WIDTH, HEIGHT, encoding.width / WIDTH) for _ in range(4))
     motion = motion_of(trace, encoding.rate)
     world, panel = WorldPicture(trace), Panel(trace, LIGHT.action_colours(len(trace.scene.action_names)))
     still.clear(PAPER)
@@ -220,12 +230,14 @@ def _pictures(
     shown: tuple[int, bool] | None = None
     for frame in range(len(motion)):
         step, share = int(motion.steps[frame]), float(motion.shares[frame])
-        canvas.copy(still, Area(0, 0, WIDTH, HEIGHT))
-        world.draw(canvas, step, share, motion.poses[frame], motion.ranges[frame])
         now = step, share == 1
-        if now != shown:  # the figures change with the steps alone
+        if now != shown:  # of which each has several pictures
+            behind.copy(still, WORLD)
+            world.draw_behind(behind, step)
             panel.draw(figures, step, float(share == 1))
             shown = now
+        canvas.copy(behind, WORLD)
+        world.draw(canvas, step, share, motion.poses[frame], motion.ranges[frame])
         canvas.copy(figures, PANEL)
         _draw_title(canvas, trace, title, over=frame == len(motion) - 1)
         yield canvas.pixels

@@ -234,7 +234,8 @@ def _load_network(run: Path, checkpoint: str, config: Config, world: World) -> t
     """The network, and after how many env steps it was saved; 0 where the checkpoint does not tell."""
     path = checkpoint_path(run, checkpoint)
     saved = load_checkpoint(path)
-    state, frames = saved.get("network"), saved.get("frames", 0)
+    state: Any = saved.get("network")
+    frames: Any = saved.get("frames")
     network = build_network(config, world)
     if not _fits(state, network.state_dict()):
         raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")

@@ -33,6 +33,7 @@ from carrl.train.plan import checked_threads
 from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
 from carrl.train.trainer import Trainer
+from carrl.train.trials import read_trials
 
 Config = dict[str, Any]
 Summary = dict[str, Any]
@@ -287,10 +288,17 @@ def _draw(trainer: Trainer) -> None:
 
 
 def _draw_learning_curve(run: ReplicateRun) -> None:
-    from carrl.render.curves import draw_learning_curve  # Here, since Matplotlib takes long to import.
+    # Here, since Matplotlib takes long to import.
+    from carrl.render.curves import EvaluationCurve, draw_learning_curve
 
-    first_lap = run.first_lap.episode if run.first_lap else None
-    draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
+    trials, first = read_trials(run.folder.path), run.first_lap
+    name = "mean speed, m/s" if trials.has_speed else "reward of the lap"
+    draw_learning_curve(
+        run.folder.path / LEARNING_CURVE,
+        run.episode_returns,
+        first_lap_episode=first.episode if first else None,
+        evaluations=EvaluationCurve(trials.frames, trials.others, trials.laps, name, first.frame if first else None),
+    )
 
 
 def _draw_lap(world: World, run: ReplicateRun) -> None:
