@@ -200,7 +200,7 @@ class WorldPicture:
         return trail_colours(self.trace, LIGHT)
 
     def _draw_line(self, canvas: Canvas, view: View, step: int) -> None:
-        """Gates just passed, and the line to where a step begins, old parts in grey; where a step is not logged is none."""
+        """Gates just passed, and the line to where a step begins, old parts in grey; unlogged steps have none."""
         lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
         light_gates(canvas, view, self._ground, FILM, lit)
         way, known = self.trace.poses[: step + 1, :2], self._known[:step]
