@@ -1,7 +1,7 @@
 """The window of `carrl watch`, in which a network drives one car."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -94,8 +94,8 @@ class Show:
                 self._begin_lap()
             return
         with torch.no_grad():
-            action = self._saved.policy(torch.from_numpy(self._observation)[None])
-        self._observation, *_ = self._env.step(action[0].numpy())
+            action: Any = self._saved.policy(torch.from_numpy(self._observation)[None])[0].numpy()
+        self._observation, *_ = self._env.step(action)
         scene = self._env.snapshot()
         gates = self._env.task.simulator.track.gate_count
         if scene.gates_passed > self._gates:
