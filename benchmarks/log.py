@@ -18,6 +18,7 @@ from benchmarks.log_share import SHARE_HEADER, share_rows
 from benchmarks.options import Parser, positive, tell
 from carrl.algorithms.common.network import make_q_network
 from carrl.algorithms.dqn.dqn import dqn_columns
+from carrl.data.description import log_schema
 from carrl.data.source import EpisodeTracker
 from carrl.env.track_env import TrackEnv
 from carrl.evaluation.baselines import rule_policy
@@ -25,9 +26,8 @@ from carrl.log import load
 from carrl.log.messages import Episode
 from carrl.log.writer import LogWriter
 from carrl.task.episode import Start
-from carrl.train.callbacks import log_schema
 
-SCHEMA = log_schema(TrackEnv(), dqn_columns(("forward", "left", "right")))
+SCHEMA = log_schema(TrackEnv().task, dqn_columns(("forward", "left", "right")))
 HEADER = ("what", "transitions", "seconds", "transitions/s", "bytes each", "peak MiB")
 CARS = 64
 BATCH = 2048

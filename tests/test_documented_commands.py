@@ -36,6 +36,7 @@ ELSEWHERE = {
     "hydra/launcher=": "needs processes or SLURM: tests/cli/test_sweep.py",
     "logger=wandb": "needs a package: tests/train/test_scalars.py",
     "logger=mlflow": "needs a package: tests/train/test_scalars.py",
+    "carrl watch": "opens a window: tests/cli/test_watch.py",
     "carrl drive": "opens a window: tests/cli/test_drive.py",
     "--policy line": "looks for two minimum laps: tests/evaluation/test_line_driver.py",
     r"lap-time (?!.*--quick)": "takes a minute: tests/cli/test_track_lap_time.py",

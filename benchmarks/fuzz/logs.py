@@ -12,6 +12,7 @@ from benchmarks.fuzz.mutation import mutate
 from benchmarks.fuzz.parser import Parser
 from benchmarks.fuzz.values import change
 from carrl.algorithms.dqn.dqn import dqn_columns
+from carrl.data.description import describe_run, log_schema
 from carrl.env.track_env import TrackEnv
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Log, read_trace, recover, summarise, verify
@@ -19,7 +20,6 @@ from carrl.log.codec import Batch, Columns, encode_small
 from carrl.log.log_file import begin_log, chunk_beginning, describe, with_checksum
 from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import CHANNELS, EPISODES, METRICS, TRANSITIONS, Schema
-from carrl.train.callbacks import describe_run, log_schema
 
 _STEPS, _RUN = 6, 0x1234567890ABCDEF
 _TIMES = (0, 1, 10**8, 10**9, 2**40, 2**63 - 1)
@@ -36,12 +36,12 @@ class LogFile(Parser):
     @cached_property
     def entries(self) -> dict[str, str]:
         """What a run says of itself."""
-        return describe_run(TrackEnv("oval", num_envs=1, seed=0), 0, 1)
+        return describe_run(TrackEnv("oval", num_envs=1, seed=0).task, 0, 1)
 
     @cached_property
     def schema(self) -> Schema:
         """The columns of such a run."""
-        return log_schema(TrackEnv("oval", num_envs=1, seed=0), dqn_columns(("forward", "left", "right")))
+        return log_schema(TrackEnv("oval", num_envs=1, seed=0).task, dqn_columns(("forward", "left", "right")))
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:

@@ -162,4 +162,8 @@ class Recipe(Protocol):
         """A network to load a checkpoint into."""
 
     def greedy_policy(self, network: nn.Module) -> Policy:
-        """What such a network does without exploration."""
+        """What such a network does without exploration.
+
+        Where it has more to say for a log of its drives it also has the methods `log_columns`, of the actions' names,
+        and `logged`, which gives the values of these columns for observations [B, O], by their keys.
+        """

@@ -35,9 +35,10 @@ FLAGS = {
     ),
     "tune": ("--trials", "--timeout", "--objective", "--no-pruning", "--folder", "--config-dir", "--storage"),
     "evaluate": (
-        *("--track", "--starts", "--laps", "--limit", "--speed-trace"),
+        *("--track", "--starts", "--laps", "--limit", "--speed-trace", "--log", "--png", "--video"),
         *("--policy", "--checkpoint", "--trust", "--json"),
     ),
+    "watch": ("--track", "--live", "--out", "--fps", "--trust"),
     "laps": (*_READING, "--out", "--json"),
     "export": ("--format", "--out", "--seed", "--checkpoint", "--trust"),
     "drive": ("--track", "--run", "--vehicle", "--fps", "--trust"),
@@ -74,7 +75,7 @@ VALUES = {
     "--direction": ("clockwise", "counterclockwise"),
 }
 """Of flags, in full, but for files of one's own."""
-_TAKE_RUNS = ("evaluate", "export", "report")
+_TAKE_RUNS = ("evaluate", "export", "report", "watch")
 _TAKE_TRACKS = ("laps", "track show", "track check", "track convert", "track lap-time")
 RESUME = "resume="
 OUTPUTS = Path("outputs")

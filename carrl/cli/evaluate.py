@@ -9,10 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from carrl.cli.kept_drives import add_flags, any_asked, check_flags, kept_drives
 from carrl.cli.limits import asked_limits, limits_for
 from carrl.cli.parser import Parser, add_trust
 from carrl.errors import ConfigError, printable
-from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS, PolicyName
+from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS, PolicyName, check_one_drives
 from carrl.files import check_may_appear
 from carrl.report.runs import RunResult, runs_of_sweep
 from carrl.task.checks import whole_number
@@ -83,16 +84,19 @@ def _evaluate(arguments: argparse.Namespace) -> dict[str, Any]:
     for path, reason in refused.items():
         print(printable(f"warning: left out '{path}': {reason}"), file=sys.stderr)
     warn(road_warning(tracks or world.circuits.validation, world))
-    document = run.evaluate(
-        tracks,
-        arguments.starts,
-        arguments.policy,
-        arguments.checkpoint or "best",
-        arguments.laps,
-        limits=limits_for(arguments, tracks or world.circuits.validation, world.vehicle),
-        speed_trace=arguments.speed_trace,
-    )
-    return document | {"run": name, **({"refused": refused} if refused else {})}
+    with kept_drives(arguments, f"{arguments.policy} policy of {name}") as kept:
+        document = run.evaluate(
+            tracks,
+            arguments.starts,
+            arguments.policy,
+            arguments.checkpoint or "best",
+            arguments.laps,
+            limits=limits_for(arguments, tracks or world.circuits.validation, world.vehicle),
+            speed_trace=arguments.speed_trace,
+            log=kept.log,
+        )
+    others = {"refused": refused, "files": kept.files}
+    return document | {"run": name, **{key: value for key, value in others.items() if value}}
 
 
 def _check_figures(arguments: argparse.Namespace) -> None:
@@ -104,6 +108,7 @@ def _check_figures(arguments: argparse.Namespace) -> None:
     arguments.limits = asked_limits(arguments.limit)
     if arguments.speed_trace is not None:
         check_may_appear(arguments.speed_trace)
+    check_flags(arguments)
 
 
 def _check_what_drives(arguments: argparse.Namespace) -> list[RunResult]:
@@ -117,8 +122,11 @@ def _check_what_drives(arguments: argparse.Namespace) -> list[RunResult]:
         if len(words) > 1:
             raise ConfigError(f"'{words[1]}' has no effect beside a run, which has its own car; leave it out")
         runs = runs_of_sweep(Path(words[0]))
-        if runs and arguments.speed_trace:
-            raise ConfigError("--speed-trace is of one run, and this folder holds several; name one, or leave it out")
+        of_one = "--speed-trace" if arguments.speed_trace else any_asked(arguments)
+        if runs and of_one:
+            raise ConfigError(f"{of_one} is of one run, and this folder holds several; name one, or leave it out")
+        if arguments.policy == "greedy" and any_asked(arguments):
+            check_one_drives(len(seed_folders(Path(words[0]))))
         for folder in [] if runs else seed_folders(Path(words[0])):
             load_config(folder, arguments.trust)
         return runs
@@ -181,6 +189,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--speed-trace", metavar="FILE.csv", help="write time, place and speed at each step of the measured laps"
     )
+    add_flags(parser)
     parser.add_argument(
         "--policy",
         choices=get_args(PolicyName),
@@ -211,6 +220,8 @@ def print_evaluation(document: Figures) -> None:
     if runs:
         rows = _rows_of_runs(runs, document["all"], styles)
         _print_figures(f"{name} of each run, all tracks", "seed", rows, styles)
+    for path, what in document.get("files", {}).items():
+        print(printable(f"{path}: {what}"))
 
 
 def print_sweep(document: Figures) -> None:

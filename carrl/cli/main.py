@@ -12,6 +12,7 @@ VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
     "tune": "search for the settings that do best (carrl tune experiment=tune --trials 20)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
+    "watch": "watch a trained car drive, in a window, as a page or as a video",
     "laps": "compare laps of a track: a replay against each other, and the gap over the way",
     "export": "write a trained policy as ONNX, a torch program, arrays or C",
     "drive": "drive a track yourself, with the keyboard",
@@ -31,7 +32,7 @@ WELCOME = """CarRL trains cars to drive from a handful of distance sensors. The 
 
   carrl train experiment=fast          train a network, in a minute; its results are in a folder, RUN
   carrl evaluate RUN --track oval      drive it on another track
-  carrl log replay RUN/train.mcap      watch an episode of its training in a browser
+  carrl watch RUN                      watch it drive; --out FILE.html without a window
   carrl report DIR                     compare the runs in a folder
   carrl track show FILE.csv            draw a track of your own, for carrl train track=FILE.csv
 

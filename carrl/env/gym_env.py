@@ -18,7 +18,7 @@ from carrl.errors import ConfigError, shown
 from carrl.sim.simulator import CarState
 from carrl.sim.vehicle import Rectangle, Vehicle
 from carrl.task.action import ActionMap, in_words
-from carrl.task.checks import seed_number
+from carrl.task.checks import number, seed_number
 from carrl.task.episode import EpisodeState
 from carrl.task.task import UNLIMITED, EpisodeStart, Task, Tracks, make_task
 from carrl.tracks.track import Track
@@ -178,14 +178,18 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Puts the car at the start.
 
+        Args:
+            seed: of what is drawn by chance from now on.
+            options: `{"station": S}` puts it on the centreline of the first track, S m behind the start line, at rest.
+
         Raises:
-            ConfigError: the seed is no whole number, or below 0 or above 2^63 - 1.
+            ConfigError: the seed is no whole number, or below 0 or above 2^63 - 1; or there is no such station.
         """
         seed = None if seed is None else seed_number(seed)
         super().reset(seed=seed)
         if seed is not None:
             self.task.streams.seed(seed)
-        self._now = now = self._start or self.task.start()
+        self._now = now = self._begin(options or {})
         self._return, self._collided = 0.0, False
         self._trail.clear()
         if self.render_mode == "human":
@@ -256,6 +260,14 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self._window = self._window or Window(self._picture.size, "CarRL")
         self._window.show(picture, self.metadata["render_fps"])
         return None
+
+    def _begin(self, options: Mapping[str, Any]) -> EpisodeStart:
+        if "station" not in options:
+            return self._start or self.task.start()
+        simulator = self.task.simulator
+        length = simulator.track.length
+        station = number("station", options["station"], 0, length, f"a place on the track, from 0 to {length:g} m")
+        return self.task.start_at(simulator.start(torch.tensor([station], dtype=torch.float64)))
 
     def close(self) -> None:
         """Closes the window, if there is one."""

@@ -5,7 +5,7 @@ Shapes: `B` cars, `T` steps, `R` rays, `O` values of an observation.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -19,12 +19,45 @@ from carrl.rows import Rows
 from carrl.sim.driven import GRAVITY
 from carrl.sim.simulator import CarState, Simulator
 from carrl.task.checks import whole_number
+from carrl.task.episode import EpisodeState
 from carrl.task.reward import LAP_TERMS
-from carrl.task.task import Task, World
+from carrl.task.task import StepResult, Task, World
 from carrl.tracks.track import Track
 
 Policy = Callable[[Tensor], Tensor]
 """Observations [B, O] to actions [B, ...]."""
+
+
+@dataclass(frozen=True)
+class DrivenStep:
+    """One step of cars that are driven side by side.
+
+    Attributes:
+        state: before it.
+        observation: then, [B, O].
+        action: that was chosen, [B, ...].
+        after: what came of it.
+        drives: which cars are still driving; the others have ended before, [B], bool.
+        goes_on: which of these make another step, [B], bool.
+    """
+
+    state: EpisodeState
+    observation: Tensor
+    action: Tensor
+    after: StepResult
+    drives: Tensor
+    goes_on: Tensor
+
+
+class Recorder(Protocol):
+    """Keeps what is driven, see `carrl.evaluation.drive_log`."""
+
+    def begin(self, task: Task, policy: Policy) -> None:
+        """All cars of a task start now."""
+
+    def add(self, step: DrivenStep) -> None:
+        """They make a step."""
+
 
 TIME_LIMIT_LAPS = 2.0
 """A drive is stopped after the steps that this many laps of the centreline take; a sound policy needs about one."""
@@ -47,10 +80,12 @@ def rollout_laps(
     starts: int = 1,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
     laps: int = 1,
+    recorder: Recorder | None = None,
 ) -> list[Rollout]:
     """Drives one lap of each of the simulator's tracks, in their order, from each of `starts` places.
 
-    The places are spread evenly along the track, from the start line on; `kept` and `laps` are as in `rollout`.
+    The places are spread evenly along the track, from the start line on; `kept`, `laps` and `recorder` are as in
+    `rollout`.
 
     Raises:
         ConfigError: fewer than one start place or lap, or a drive takes too many steps.
@@ -58,7 +93,7 @@ def rollout_laps(
     starts = whole_number("starts", starts, 1, MOST_STARTS)
     stations = [torch.arange(starts) * track.length / starts for track in simulator.tracks]
     track = torch.arange(len(stations)).repeat_interleave(starts)
-    return rollout(world, simulator, policy, torch.cat(stations), track, kept, laps)
+    return rollout(world, simulator, policy, torch.cat(stations), track, kept, laps, recorder)
 
 
 class TrackEvaluator:
@@ -77,13 +112,16 @@ class TrackEvaluator:
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
 
-    def evaluate(self, policy: Policy, world: World | None = None, traced: bool = False) -> list[list[Rollout]]:
+    def evaluate(
+        self, policy: Policy, world: World | None = None, traced: bool = False, recorder: Recorder | None = None
+    ) -> list[list[Rollout]]:
         """The rollouts on each track.
 
         Args:
             policy: what to do.
             world: of a policy that sees something else, with the same car.
             traced: keep the trajectories.
+            recorder: keeps all that is driven.
 
         Raises:
             ConfigError: fewer than one start place.
@@ -91,7 +129,7 @@ class TrackEvaluator:
         found: list[list[Rollout]] = []
         kept = None if traced else lambda _: ()
         for simulator in self._simulators:
-            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, kept, self._laps)
+            rollouts = rollout_laps(world or self._world, simulator, policy, self._starts, kept, self._laps, recorder)
             found += [rollouts[begin : begin + self._starts] for begin in range(0, len(rollouts), self._starts)]
         return found
 
@@ -116,6 +154,7 @@ def rollout(
     track: Tensor | None = None,
     kept: Callable[[Sequence[Rollout]], Sequence[int]] | None = None,
     laps: int = 1,
+    recorder: Recorder | None = None,
 ) -> list[Rollout]:
     """Drives one lap from each of these places.
 
@@ -129,6 +168,7 @@ def rollout(
         laps: driven in a row; where they are several, each drive is measured by the last of them, a flying lap, unless
             it ends before that begins. A drive ends with the last gate of its laps, which may stand somewhat before the
             line where it began; for the lap's time a car drives on to that line.
+        recorder: keeps all that is driven.
 
     Raises:
         ConfigError: that takes too many steps, or a place is not a finite number.
@@ -139,16 +179,18 @@ def rollout(
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
     task = world.evaluation_task(simulator, len(stations))
     cars = simulator.start(stations, track)
-    limits, patience = laps * _time_limits(simulator, cars), _patience(simulator, cars)
+    limits, patience = laps * time_limits(simulator, cars), patience_of(simulator, cars)
     _check_limits(limits, simulator)
     timing = LapTiming(simulator, cars, stations, laps)
     now = task.start_at(cars)
     state, observation = now.state, now.observation
+    if recorder is not None:
+        recorder.begin(task, policy)
     moments = [_first_moment(task, state.last_action, cars)]
     driving, last_gate = torch.ones_like(cars.next_gate, dtype=torch.bool), torch.zeros_like(cars.next_gate)
     for step in range(1, int(limits.max()) + 1):
         action = policy(observation)
-        after = task.step(state, action)
+        before, after, drove = (state, observation, action), task.step(state, action), driving
         state, observation = after.state, after.observation
         outcome = after.outcome
         near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(outcome.ranges))
@@ -158,7 +200,9 @@ def rollout(
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
         has_lapped = simulator.has_lapped(outcome.cars, laps)
         has_come_round = timing.has_ended(moments[-2].cars, outcome.cars, has_lapped)
-        driving &= ~(ended | has_come_round) & (step < limits)
+        driving = driving & ~(ended | has_come_round) & (step < limits)
+        if recorder is not None:
+            recorder.add(DrivenStep(*before, after, drove, driving))
         if not driving.any():
             break
     return _sum_up(_Moment.stack(moments), limits, task, stations, kept, laps, timing)
@@ -170,14 +214,14 @@ def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     return _Moment(cars, nothing, nothing, nothing, terms, action)
 
 
-def _time_limits(simulator: Simulator, cars: CarState) -> Tensor:
+def time_limits(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps after which each car is stopped, [B], int64."""
     lap_steps = (simulator.routes.lengths / simulator.vehicle.step_length).ceil()
     laps = SLOWEST if _has_speed(simulator) else TIME_LIMIT_LAPS
     return (laps * lap_steps).round().long().to(cars.track.device)[cars.track]
 
 
-def _patience(simulator: Simulator, cars: CarState) -> Tensor:
+def patience_of(simulator: Simulator, cars: CarState) -> Tensor:
     """Steps without a gate after which each car is stopped, [B], int64."""
     vehicle = simulator.vehicle
     if not _has_speed(simulator):

@@ -1,10 +1,12 @@
-"""A finished MCAP file, opened through its summary: what is in it, and any part of it without reading the rest.
+"""An MCAP file, opened through its summary: what is in it, and any part of it without reading the rest.
 
-Where the summary does not tell of all that the file holds, as MCAP allows, the file is read once from begin to end.
+Where the summary does not tell of all that the file holds, as MCAP allows, the file is read once from begin to end; so
+is one that a process is writing, up to where that has come.
 
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
+import fcntl
 import os
 import struct
 import zlib
@@ -73,11 +75,14 @@ class FileContent:
 
 
 class IndexedFile:
-    """A finished file; use it in a `with` statement. Every CRC of what it reads is checked.
+    """A file that is finished, or being written; use it in a `with` statement. Every CRC of what it reads is checked.
+
+    Attributes:
+        grows: whether it is being written; what came after it was opened is not seen.
 
     Raises:
         LogError: the file is missing, or holds what is not supported.
-        DamagedLogError: it is no MCAP file, unfinished or damaged.
+        DamagedLogError: it is no MCAP file, damaged, or unfinished although nobody writes it any more.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,9 +91,11 @@ class IndexedFile:
         self._file, self.size = open_log(path)
         try:
             self._content = FileContent(self._file, self.size)
-            check_magic(path, self._content)
+            self.grows = _is_being_written(self._file, self._content)
+            if not self.grows:
+                check_magic(path, self._content)
             with naming_damage(path):
-                self.index = self._read_index()
+                self.index = _scan_growing(self._content) if self.grows else self._read_index()
         except BaseException:
             self._file.close()
             raise
@@ -225,18 +232,35 @@ def scan(content: Content) -> McapIndex:
     """
     index = McapIndex()
     for offset, opcode, body in verified_records(content):
-        length = HEAD.size + len(body)
-        if opcode == Opcode.MESSAGE:
-            _add_lone_message(index, offset, length, message_of(body))
-        elif opcode == Opcode.DATA_END:
-            index.data_checked = any(body)
-        elif opcode == Opcode.CHUNK:
-            chunk = parse(opcode, body)
-            assert isinstance(chunk, Chunk)
-            _add_chunk(index, chunk, offset, length)
-        else:
-            index.add(parse(opcode, body), offset, length)
+        _add_record(index, offset, opcode, body)
     return index
+
+
+def _scan_growing(content: Content) -> McapIndex:
+    """The same of a file that is being written, as far as its records are whole."""
+    index, begin = McapIndex(), len(MCAP0_MAGIC)
+    while begin + HEAD.size <= len(content):
+        opcode, length = HEAD.unpack(content[begin : begin + HEAD.size])
+        end = begin + HEAD.size + length
+        if end > len(content) or opcode == Opcode.DATA_END:
+            break
+        _add_record(index, begin, opcode, content[begin + HEAD.size : end])
+        begin = end
+    return index
+
+
+def _add_record(index: McapIndex, offset: int, opcode: int, body: bytes) -> None:
+    length = HEAD.size + len(body)
+    if opcode == Opcode.MESSAGE:
+        _add_lone_message(index, offset, length, message_of(body))
+    elif opcode == Opcode.DATA_END:
+        index.data_checked = any(body)
+    elif opcode == Opcode.CHUNK:
+        chunk = parse(opcode, body)
+        assert isinstance(chunk, Chunk)
+        _add_chunk(index, chunk, offset, length)
+    else:
+        index.add(parse(opcode, body), offset, length)
 
 
 def verified_records(content: Content) -> Iterator[tuple[int, int, bytes]]:
@@ -327,6 +351,23 @@ def open_log(path: Path) -> tuple[BufferedReader, int]:
         raise LogError(f"log '{path}': cannot be read: {reason}; give the path of a log") from error
 
 
+def _is_being_written(file: BufferedReader, content: Content) -> bool:
+    """Whether an unfinished MCAP file is locked by whoever writes it."""
+    if content[: len(MCAP0_MAGIC)] != MCAP0_MAGIC or _is_finished(content):
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
+
+
+def _is_finished(content: Content) -> bool:
+    size = len(content)
+    return size >= 2 * len(MCAP0_MAGIC) + _FOOTER.size and content[size - len(MCAP0_MAGIC) :] == MCAP0_MAGIC
+
+
 def check_magic(path: Path, content: Content) -> None:
     """Checks what an MCAP file begins and ends with.
 
@@ -336,7 +377,7 @@ def check_magic(path: Path, content: Content) -> None:
     size, start = len(content), content[: len(MCAP0_MAGIC)]
     if start != MCAP0_MAGIC[: len(start)]:
         raise DamagedLogError(f"log '{path}': is not an MCAP file, it starts with {start!r}; give the path of a log")
-    if size < 2 * len(MCAP0_MAGIC) + _FOOTER.size or content[size - len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
+    if not _is_finished(content):
         raise DamagedLogError(
             f"log '{path}': is unfinished, {size} bytes without the mark that ends an MCAP file; "
             "wait for the run to end, or salvage it with: carrl log recover IN OUT"

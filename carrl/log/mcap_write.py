@@ -6,6 +6,7 @@ all, so that a full disk costs only what did not fit; it serialises with that pa
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
+import fcntl
 import mmap
 import os
 import struct
@@ -73,6 +74,8 @@ class McapFile:
         """Begins the file, or goes on with it."""
         mode = "w+b" if position is None else "r+b"
         self._file = open(path, mode, buffering=0, opener=open_itself)  # noqa: SIM115 (closed in close)
+        with suppress(OSError):  # some network file systems know no locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # by which readers know that it is being written
         self._index = McapIndex()
         self._compressor = zstandard.ZstdCompressor(level=3)
         self._crc = self.size = 0

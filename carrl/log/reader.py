@@ -1,4 +1,4 @@
-"""Reads a finished log: what is in it, its transitions, episodes and metrics. Needs no torch.
+"""Reads a log, finished or being written: its transitions, episodes and metrics. Needs no torch.
 
 Everything goes through the file's index, so that one episode of a large log is read in the time of a few chunks, and no
 more than a chunk is in memory at once.
@@ -39,7 +39,7 @@ _BATCHES_IN_A_BLOCK = 1024  # joined early: as arrays of their own, batches of o
 
 
 class Log:
-    """A finished log, opened; use it in a `with` statement.
+    """A log, finished or as far as it is written yet, opened; use it in a `with` statement.
 
     Attributes:
         path: the file.

@@ -170,7 +170,7 @@ def _unwritable(target: Path, error: Exception) -> LogError:
 def _index_of(source: Path) -> McapIndex | None:
     """What the file's summary says is where in it; None if it has none that is intact."""
     with suppress(LogError), IndexedFile(source) as file:
-        return file.index
+        return None if file.grows else file.index
     return None
 
 

@@ -62,11 +62,14 @@ class EpisodeTrace:
         return self.scene.tracks[int(self.columns["track"][0])]
 
     @property
-    def ended(self) -> Ended | Literal["unfinished"]:
-        """Why the record ends."""
+    def ended(self) -> Ended | Literal["laps complete", "unfinished"]:
+        """Why the record ends; a drive that was cut with its last lap has come to its end."""
         terminated, truncated = (bool(self.columns[name][-1].any()) for name in ("terminated", "truncated"))
         if not terminated and not truncated:
             return "unfinished"
+        gates = int(self.gates_passed[-1])
+        if not terminated and gates and gates % len(self.track.gates) == 0:
+            return "laps complete"
         collided = self.columns.get("collided", self.columns["terminated"])  # there if something else ends episodes
         return how_ended(terminated, bool(collided[-1].any()))
 

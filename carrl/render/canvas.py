@@ -173,6 +173,12 @@ class Canvas:
         """Fills a circle about the centre [2], or only draws its edge."""
         self.path(_CIRCLE.transformed(Affine2D().scale(radius).translate(*np.asarray(centre))), edge, fill)
 
+    def discs(self, centres: Floats, radius: float, fill: str | None, edge: Stroke | None = None) -> None:
+        """The same about several centres [N, 2] at once, which is quicker."""
+        vertices = (radius * np.asarray(_CIRCLE.vertices, np.float64) + centres[:, None]).reshape(-1, 2)
+        codes = np.tile(np.asarray(_CIRCLE.codes, Outline.code_type), len(centres))
+        self.path(Outline(vertices, codes), edge, fill)
+
     def box(self, left: float, top: float, width: float, height: float, fill: str, edge: Stroke | None = None) -> None:
         """Fills an upright rectangle."""
         right, bottom = left + width, top + height
@@ -232,6 +238,16 @@ class PixelCanvas(Canvas):
         height, width = other._whole_pixels.shape
         row, column = round(top * self._scale), round(left * self._scale)
         self._whole_pixels[row : row + height, column : column + width] = other._whole_pixels
+
+    def copy(self, other: "PixelCanvas", area: Area) -> None:
+        """Copies what another canvas of the same size shows in an area."""
+        left, top, right, bottom = (round(at * self._scale) for at in (area.left, area.top, area.right, area.bottom))
+        self._whole_pixels[top:bottom, left:right] = other._whole_pixels[top:bottom, left:right]
+
+    @property
+    def pixels(self) -> NDArray[np.uint8]:
+        """What is drawn, as it is until the next drawing: red, green, blue and 255, [H, W, 4]."""
+        return self._pixels
 
     def picture(self) -> Picture:
         """A copy of what was drawn since `clear`."""

@@ -35,11 +35,13 @@ def draw_rays(
     canvas: Canvas, view: View, origin: Floats, ends: Floats, colours: Sequence[str], hits: ArrayLike, style: Style
 ) -> None:
     """Lines from the car [2] to where its rays end [R, 2], with a dot where one meets a wall."""
-    begin, radius = view.places(origin), style.ray_end.width(view)
-    for end, colour, hit in zip(view.places(ends), colours, np.asarray(hits).tolist(), strict=True):
-        canvas.line([begin, end], style.ray.stroke(colour, view))
+    begin, radius, places = view.places(origin), style.ray_end.width(view), view.places(ends)
+    looks = list(zip(colours, np.asarray(hits).tolist(), strict=True))
+    for colour, hit in dict.fromkeys(looks):
+        alike, stroke = places[[look == (colour, hit) for look in looks]], style.ray.stroke(colour, view)
+        canvas.segments(np.stack([np.broadcast_to(begin, alike.shape), alike], axis=1), stroke)
         if hit or style.detailed:
-            canvas.disc(end, radius, colour if hit else None, style.ray.stroke(colour, view))
+            canvas.discs(alike, radius, colour if hit else None, stroke)
 
 
 def draw_car(

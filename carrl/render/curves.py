@@ -1,4 +1,6 @@
-"""Diagrams, and learning curves as in the paper's figure 3: returns faintly, means of blocks of episodes boldly.
+"""Diagrams, and learning curves: evaluations against env steps, and the paper's figure 3 beside them.
+
+In figure 3 returns are faint, and means of blocks of episodes bold.
 
 Shapes: `E` episodes, numbered from 1, `K` blocks. Returns are undiscounted sums of rewards.
 """
@@ -133,6 +135,25 @@ class RunCurve:
 
 
 @dataclass(frozen=True)
+class EvaluationCurve:
+    """How a run's networks drove without exploration as they were tried out in training.
+
+    Attributes:
+        frames: env steps of the run by then, [N].
+        values: of the drives, [N].
+        laps: share of the drives that completed the lap, [N].
+        name: what the values are.
+        first_lap_frame: env steps at the first confirmed lap; None if there was none.
+    """
+
+    frames: Sequence[int]
+    values: Sequence[float]
+    laps: Sequence[float]
+    name: str
+    first_lap_frame: int | None = None
+
+
+@dataclass(frozen=True)
 class Bounds:
     """The part of the plane that a panel shows.
 
@@ -150,12 +171,8 @@ class Bounds:
 
 
 def block_means(returns: Sequence[float], window: int) -> NDArray[np.float64]:
-    """Means of consecutive blocks of `window` returns, [E] to [K].
-
-    A last incomplete block is left out, since its mean is noisier than the others, unless it is the only one.
-    """
-    blocks = max(1, len(returns) // window)
-    starts = range(0, min(len(returns), blocks * window), window)
+    """Means of consecutive blocks of `window` returns, the last of which may be shorter, [E] to [K]."""
+    starts = range(0, len(returns), window)
     return np.array([np.mean(returns[start : start + window]) for start in starts], dtype=np.float64)
 
 
@@ -227,29 +244,65 @@ def _draw_single_returns(axes: Axes, returns: NDArray[np.float64], bounds: Bound
 
 
 def draw_learning_curve(
-    path: str | Path, episode_returns: Sequence[float], *, window: int = 20, first_lap_episode: int | None = None
+    path: str | Path,
+    episode_returns: Sequence[float],
+    *,
+    window: int = 20,
+    first_lap_episode: int | None = None,
+    evaluations: EvaluationCurve | None = None,
 ) -> None:
-    """Writes a picture of one run's learning curve.
+    """Writes a picture of one run's learning: its evaluations, if there are several, and the returns of its episodes.
 
     Args:
         path: where to write it, a .png, .pdf or .svg; the folder must exist.
         episode_returns: one per finished episode, in order, [E]; may be empty.
         window: episodes per mean.
         first_lap_episode: where to mark the greedy policy's first lap, counted from 1; None for no mark.
+        evaluations: of its networks in training.
     """
     run = RunCurve(episode_returns, first_lap_episode)
     bounds = common_bounds([run], window)
     figure = new_figure(height=3.6)
-    axes = figure.subplots()
+    if evaluations is not None and len(evaluations.frames) > 1:
+        left, axes = figure.subplots(1, 2, width_ratios=(3, 2))
+        _draw_evaluations(left, evaluations)
+    else:
+        axes = figure.subplots()
     draw_panel(axes, run, window, bounds, size=1.0)
     if len(episode_returns) == 0:
         axes.set_yticks([])
-    if first_lap_episode is not None:
-        _label_first_lap(axes, first_lap_episode)
+    if first_lap_episode is not None and len(figure.axes) == 1:
+        _label_first_lap(axes, first_lap_episode, "episode")
     axes.set_xlabel("episode", color=INK, fontsize=9)
     axes.set_ylabel("return per episode", color=INK, fontsize=9)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, **legend_of(window, bounds))
+    legend = legend_of(window, bounds) | ({"ncols": 1} if len(figure.axes) > 1 else {})
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, **legend)
     save_figure(figure, path)
+
+
+def _draw_evaluations(axes: Axes, curve: EvaluationCurve) -> None:
+    """The values against env steps, with a filled mark where all drives completed the lap."""
+    plain_axes(axes)
+    frames, values = np.asarray(curve.frames), np.asarray(curve.values, dtype=np.float64)
+    complete = np.asarray(curve.laps) >= 1
+    size = 18 if len(frames) <= FEW_BLOCKS else 7
+    axes.plot(frames, values, "-", color=BLUE, linewidth=1.2, zorder=2)
+    for chosen, fill, label in ((complete, BLUE, "every lap completed"), (~complete, PAPER, "not every lap")):
+        if chosen.any():
+            axes.scatter(
+                frames[chosen], values[chosen], s=size, facecolors=fill, edgecolors=BLUE, zorder=3, label=label
+            )
+    axes.set_xlim(0, 1.02 * frames[-1])
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + HEADROOM * (high - low))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
+    if curve.first_lap_frame is not None:
+        axes.axvline(curve.first_lap_frame, color=VERMILLION, linewidth=1.2, linestyle=(0, (4, 2)), zorder=1.5)
+        _label_first_lap(axes, curve.first_lap_frame, "env step")
+    axes.set_xlabel("env steps", color=INK, fontsize=9)
+    axes.set_ylabel(f"evaluation: {curve.name}", color=INK, fontsize=9)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, frameon=False, fontsize=8.5)
 
 
 def draw_learning_curves(path: str | Path, runs: Mapping[str, RunCurve], *, window: int = 20) -> None:
@@ -306,12 +359,12 @@ def _title_panel(axes: Axes, title: str, run: RunCurve) -> None:
     axes.annotate(lap, (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", fontsize=7, color=colour)
 
 
-def _label_first_lap(axes: Axes, episode: int) -> None:
+def _label_first_lap(axes: Axes, at: int, unit: str) -> None:
     """Writes beside the dashed line, on the side with more room, in the headroom above the returns."""
-    on_the_right = episode < sum(axes.get_xlim()) / 2
+    on_the_right = at < sum(axes.get_xlim()) / 2
     axes.annotate(
-        f"first greedy lap: episode {episode:,}",
-        (episode, 1),
+        f"first confirmed lap: {unit} {at:,}",
+        (at, 1),
         (6 if on_the_right else -6, -2),
         xycoords=axes.get_xaxis_transform(),
         textcoords="offset points",

@@ -3,7 +3,8 @@
 Shapes: `H` and `W` pixels, `N` colours.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.errors import CarrlError
-from carrl.render.canvas import Picture
 from carrl.render.colours import BLACK, FAINT, INK, LAPS, LIGHT, PAPER, YELLOW, rgb
 
 BT709, LIMITED = 1, 1
@@ -58,7 +58,7 @@ MP4 = Encoding(
     height=720,
     rate=30,
     file_options={"movflags": "+faststart"},  # a browser can begin before it has the whole file
-    options={"preset": "veryfast", "crf": "20"},
+    options={"preset": "ultrafast", "crf": "22"},
 )
 GIF = Encoding(ending=".gif", codec="gif", layout="pal8", width=640, height=360, rate=20)
 """A GIF's pictures last whole hundredths of a second, and many viewers slow down what is faster than 50 a second."""
@@ -78,20 +78,27 @@ def encoding_for(path: Path) -> Encoding:
     return encoding
 
 
-def encoded(encoding: Encoding, pictures: Iterable[Picture]) -> bytes:
-    """The content of a video file of at least one picture, [H, W, 3] each.
+def encoded(encoding: Encoding, pictures: Iterable[NDArray[np.uint8]]) -> bytes:
+    """The content of a video file of at least one picture, each as `PixelCanvas.pixels` has it, [H, W, 4].
 
     Raises:
         CarrlError: PyAV is not installed.
     """
     av = _pyav()
-    frames = _high_definition_frames if encoding is MP4 else _palette_frames
+    make_frame = _high_definition_frame(av) if encoding.codec == MP4.codec else _palette_frame(av)
     with TemporaryDirectory(prefix="carrl-") as folder:
         file = Path(folder, "video" + encoding.ending)
-        with av.open(file, "w", options=dict(encoding.file_options)) as container:
+        with av.open(file, "w", options=dict(encoding.file_options)) as container, ThreadPoolExecutor(1) as worker:
             stream = _new_stream(container, encoding)
-            for frame in frames(av, pictures):
-                container.mux(stream.encode(frame))
+
+            def add(picture: NDArray[np.uint8]) -> None:
+                container.mux(stream.encode(make_frame(picture)))
+
+            last = worker.submit(lambda: None)
+            for picture in pictures:  # each is encoded while the next one is drawn
+                last.result()
+                last = worker.submit(add, picture.copy())
+            last.result()
             container.mux(stream.encode())
         return file.read_bytes()
 
@@ -104,20 +111,27 @@ def _pyav() -> Any:
     return av
 
 
-def _high_definition_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
-    for picture in pictures:
-        yield av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=MP4.layout, dst_colorspace=BT709)
+def _high_definition_frame(av: Any) -> Callable[[NDArray[np.uint8]], Any]:
+    def frame(picture: NDArray[np.uint8]) -> Any:
+        # from_ndarray copies line by line, which takes longer than drawing the picture did.
+        whole = av.VideoFrame.from_numpy_buffer(picture, format="rgba")
+        return whole.reformat(format=MP4.layout, dst_colorspace=BT709)
+
+    return frame
 
 
-def _palette_frames(av: Any, pictures: Iterable[Picture]) -> Iterator[Any]:
+def _palette_frame(av: Any) -> Callable[[NDArray[np.uint8]], Any]:
     """Frames of the nearest colours of one palette, so that what stands still is the same in all of them."""
     colours = gif_palette()
     nearest = _nearest(colours)
     palette = np.zeros((256, 4), np.uint8)
     palette[:, 0], palette[: len(colours), 1:] = 255, colours
-    for picture in pictures:
-        red, green, blue = (picture >> 3).astype(np.uint16).transpose(2, 0, 1)
-        yield av.VideoFrame.from_ndarray((nearest[red << 10 | green << 5 | blue], palette), format=GIF.layout)
+
+    def frame(picture: NDArray[np.uint8]) -> Any:
+        red, green, blue = (picture[:, :, :3] >> 3).astype(np.uint16).transpose(2, 0, 1)
+        return av.VideoFrame.from_ndarray((nearest[red << 10 | green << 5 | blue], palette), format=GIF.layout)
+
+    return frame
 
 
 def _nearest(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -133,7 +147,7 @@ def _new_stream(container: Any, encoding: Encoding) -> Any:
     """A track of the file for pictures to be encoded."""
     stream = container.add_stream(encoding.codec, rate=encoding.rate, options=dict(encoding.options))
     stream.width, stream.height, stream.pix_fmt = encoding.width, encoding.height, encoding.layout
-    if encoding is MP4:
+    if encoding.codec == MP4.codec:
         stream.thread_type = "FRAME"  # several pictures at a time, beside the drawing of the next
         context = stream.codec_context
         context.colorspace = context.color_primaries = context.color_trc = BT709

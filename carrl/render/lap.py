@@ -8,6 +8,7 @@ Source: the paper's figure 2 (the track, the car, the gates; the green lines are
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,10 @@ from carrl.render.curves import save_drawing
 from carrl.render.scene import PRINT, draw_cross, draw_line
 from carrl.render.track_map import TrackMap
 from carrl.render.trail import speed_shades_of, speed_span
-from carrl.tracks.track import Track
+
+if TYPE_CHECKING:
+    from carrl.log.scene import TrackShape
+    from carrl.tracks.track import Track
 
 MOST_CARS = 6
 """At how many places along the drive the car is drawn."""
@@ -34,7 +38,7 @@ _TEXT, _SWATCH, _SPACE, _BAR, _SCALE_BAR = 8.5, 13.0, 12.0, 96.0, 120.0
 
 def draw_lap(
     path: str | Path,
-    track: Track,
+    track: "Track | TrackShape",
     poses: Floats,
     ranges: Floats,
     sensor_angles: Floats,

@@ -10,11 +10,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carrl.files import write_whole
 from carrl.racing.laps import Floats, Lap
 from carrl.render import round_ticks
-from carrl.render.canvas import Area, Canvas, Picture, PixelCanvas, Stroke, View, fitted
+from carrl.render.canvas import Area, Canvas, PixelCanvas, Stroke, View, fitted
 from carrl.render.car import placed
 from carrl.render.colours import FAINT, INK, LAPS, PAPER, blend
 from carrl.render.encoding import RULE, Encoding, encoded, encoding_for
@@ -59,7 +60,7 @@ def write_laps_video(
 
 def _pictures(
     track: Track, laps: Sequence[Lap], encoding: Encoding, drawn: Callable[[int, int], None]
-) -> Iterator[Picture]:
+) -> Iterator[NDArray[np.uint8]]:
     duration = max(lap.end[1] for lap in laps)
     times = np.append(np.arange(math.ceil(duration * encoding.rate)) / encoding.rate, duration)
     race = _Race(track, laps, encoding.width / WIDTH)
@@ -68,11 +69,10 @@ def _pictures(
     for frame, time in enumerate(times.tolist()):
         cars = [_Car(poses[frame], stations[frame], speeds[frame]) for poses, stations, speeds in states]
         race.draw(canvas, time, cars)
-        picture = canvas.picture()
-        yield picture
+        yield canvas.pixels
         drawn(frame + 1, len(times))
     for _ in range(round(HOLD * encoding.rate)):
-        yield picture
+        yield canvas.pixels
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,8 +121,8 @@ class FollowPicture:
         """What the picture shows of the track when the car is there, [2], m."""
         return View(Area(0, 0, *self.size), position, self._scale)
 
-    def draw(self, car: CarSnapshot, message: Sequence[str] = ()) -> Picture:
-        """The picture of a car, with lines of text on it if there are any."""
+    def draw(self, car: CarSnapshot, message: Sequence[str] = (), caption: str = "") -> Picture:
+        """The picture of a car, with lines of text on it if there are any, and one at its upper edge."""
         ground, view = self._grounds[car.track], self.view(car.pose[:2])
         self._canvas.clear(DARK.ground)
         draw_ground(self._canvas, view, ground, SCREEN, (car.next_gate,))
@@ -143,6 +143,8 @@ class FollowPicture:
         self._draw_map(ground, car)
         self._draw_figures(ground, car)
         self._draw_legends()
+        if caption:
+            self._draw_caption(caption)
         if message:
             self._draw_message(message)
         return self._canvas.picture()
@@ -233,6 +235,14 @@ class FollowPicture:
         panel.text((right, 16), f"{self._car.sensor_range:g} m", 12, DARK.ink, anchor="rs")
         panel.text((width / 2 - 10, 16), "ray ends at", 12, DARK.faint, anchor="ms")
         return panel
+
+    def _draw_caption(self, caption: str) -> None:
+        """A line of text between the two upper panels."""
+        room = self.size[0] - _FIGURES_SIZE[0] - _MAP_SIZE[0] - 6 * MARGIN
+        text = fitted(caption, 13, room)
+        width, middle = text_width(text, 13) + 18, (self.size[0] + _FIGURES_SIZE[0] - _MAP_SIZE[0]) / 2
+        self._canvas.paste(_panel(round(width), 28), middle - width / 2, MARGIN)
+        self._canvas.text((middle, MARGIN + 19), text, 13, DARK.ink, anchor="ms")
 
     def _draw_message(self, lines: Sequence[str]) -> None:
         """Lines of text below the middle, the first one large; a tab makes two columns."""

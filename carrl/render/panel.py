@@ -36,6 +36,8 @@ CONTROL_COLOURS = {
 """By the name of the control, and whether it is above 0; of all others blue."""
 LONGEST = 100_000
 """Values from here on are written with an exponent."""
+MOST_POINTS = 330
+"""Of the curve of the return, whose panel is so many units wide."""
 NAME_WIDTH, SMALLEST_NAME = BARS - LEFT - 6, 11.0
 """Room for an action's name before the bars, and how small its letters may become to fit in."""
 
@@ -177,11 +179,13 @@ class Panel:
             heights = np.nan_to_num((returns - low) / extent).clip(0, 1) * height
             return np.column_stack([LEFT + steps / len(self.trace) * width, HEIGHT - 24 - heights])
 
-        steps = np.arange(len(self._returns), dtype=np.float64)
+        last = len(self._returns) - 1
+        steps = np.unique(np.linspace(0, last, min(last + 1, MOST_POINTS)).round())  # more than that nobody can see
+        returns = self._returns[steps.astype(np.int64)]
         done = steps <= progress
         canvas.line(places(steps[[0, -1]], np.zeros(2)), Stroke(RULE, 1))
-        canvas.line(places(steps, self._returns), Stroke(LIGHT.centreline, 2))
-        driven = np.append(steps[done], progress), np.append(self._returns[done], now)
+        canvas.line(places(steps, returns), Stroke(LIGHT.centreline, 2))
+        driven = np.append(steps[done], progress), np.append(returns[done], now)
         canvas.line(places(*driven), Stroke(BLUE, 3))
         canvas.disc(places(*driven)[-1], 5, BLUE)
 

@@ -190,6 +190,12 @@ def draw_ground(canvas: Canvas, view: View, ground: Ground, style: Style, lit: C
         canvas.path(Outline(side), wall, view=view)
 
 
+def light_gates(canvas: Canvas, view: View, ground: Ground, style: Style, lit: Collection[int]) -> None:
+    """Draws some gates so that they stand out, over everything else."""
+    for gate in lit:
+        canvas.line(view.places(ground.gates[gate]), style.next_gate.stroke(style.theme.next_gate, view))
+
+
 def number_gates(canvas: Canvas, view: View, gates: Floats, size: float, most: int, colour: str) -> None:
     """Numbers beside the left ends of the gates [G, 2, 2], of so many at most, that are seen; the last is the start."""
     ends = view.places(gates)

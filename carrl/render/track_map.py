@@ -5,15 +5,14 @@ Shapes: `P` points of the centreline, `K` places. Lengths are in metres, on the 
 Source: the paper's figure 2 (the track, the car, the gates; the green lines are its sensors).
 """
 
-import math
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from matplotlib.path import Path as Outline
 
 from carrl.errors import printable
@@ -22,7 +21,10 @@ from carrl.render.canvas import Area, Canvas, Floats, Stroke, View, closed
 from carrl.render.colours import FAINT, INK, PAPER
 from carrl.render.curves import WIDTH, save_drawing
 from carrl.render.scene import PRINT, Ground, draw_ground, draw_scale_bar
-from carrl.tracks.track import Track
+
+if TYPE_CHECKING:
+    from carrl.log.scene import TrackShape
+    from carrl.tracks.track import Track
 
 MOST_GATE_NUMBERS = 24
 MARGIN, HEAD, FOOT, TALLEST = 32.0, 14.0, 24.0, 430.0
@@ -44,7 +46,7 @@ class TrackMap:
         title: above it.
     """
 
-    track: Track
+    track: "Track | TrackShape"
     title: str
 
     @cached_property
@@ -70,8 +72,9 @@ class TrackMap:
     def draw(self, canvas: Canvas) -> None:
         """Draws the map."""
         draw_ground(canvas, self.view, self.ground, PRINT)
-        if self.track.reference_line is not None:
-            reference = self.view.places(self.track.reference_line.double().numpy())
+        reference_line = getattr(self.track, "reference_line", None)  # a log does not have it
+        if reference_line is not None:
+            reference = self.view.places(reference_line.double().numpy())
             canvas.path(closed([reference]), Stroke(FAINT, 0.8))
         covered = self._draw_start(canvas)
         self._number_gates(canvas, covered)
@@ -131,9 +134,9 @@ class TrackMap:
         """The word and an arrow in the driving direction, on the roomier side; returns what they cover, [K, 2]."""
         line = self.view.places(self.ground.gates[-1])
         across = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-        # The heading is not square to the line where that stands in a corner.
-        heading = self.track.pose_at(torch.zeros(1))[0, 2].item()
-        forward = np.array([math.cos(heading), -math.sin(heading)])
+        # The centreline is not square to the line where that stands in a corner.
+        ahead = self.ground.centreline[1] - self.ground.centreline[0]
+        forward = np.array([ahead[0], -ahead[1]]) / np.linalg.norm(ahead)
         # The word stands before the arrow; it is wider than high, so it needs more room where it meets it sideways.
         behind, aside = 6 + 9 * abs(across[1]), 9 + 5 * abs(across[0])
         sides = [np.stack([place - behind * forward, place, place + 26 * forward]) for place in _beside(line, aside)]
@@ -163,7 +166,7 @@ class TrackMap:
         canvas.text(place, text, 8, INK, anchor="mm", rim=PAPER)
 
 
-def draw_track_map(path: str | Path, track: Track, title: str) -> None:
+def draw_track_map(path: str | Path, track: "Track", title: str) -> None:
     """Writes a picture of the track, a .png, .pdf or .svg.
 
     Raises:

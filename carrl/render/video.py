@@ -4,7 +4,7 @@ Shapes: `F` frames, `T` steps, `R` rays.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace, ray_origins
 from carrl.render import MOST_SEEN
-from carrl.render.canvas import Area, Canvas, Floats, Picture, PixelCanvas, Stroke, View, fitted
+from carrl.render.canvas import Area, Canvas, Floats, PixelCanvas, Stroke, View, fitted
 from carrl.render.car import draw_car, draw_rays, ray_ends
 from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
 from carrl.render.encoding import OLD_TRAIL, Encoding, encoded, encoding_for
-from carrl.render.panel import HEIGHT, WIDTH, Panel
+from carrl.render.panel import EDGE, HEIGHT, WIDTH, Panel
 from carrl.render.scene import (
     FILM,
     Ground,
@@ -27,14 +27,19 @@ from carrl.render.scene import (
     draw_line,
     draw_route,
     draw_scale_bar,
+    light_gates,
     number_gates,
 )
 from carrl.render.trail import steps_of, trail_colours
 
+PICTURES_PER_STEP, LEAST_RATE = 2, 20
+"""So many pictures a step, or so many a second, are enough; more only take longer to draw."""
 HOLD = 1.0
 """How long the last picture stays, s."""
 AREA = Area(0, 56, 900, 664)
 """Of the picture, below the title and beside the panel."""
+WORLD = Area(0, 0, EDGE, HEIGHT)
+PANEL = Area(EDGE, 0, WIDTH - EDGE, HEIGHT)
 MARGIN = 34.0
 """Around a track that is shown as a whole, for the numbers of the gates."""
 OVERVIEW = Area(16, 568, 204, 136)
@@ -70,6 +75,8 @@ def write_video(
         CarrlError: the name has another ending, PyAV is not installed, or the file cannot be written.
     """
     encoding = encoding_for(Path(path))
+    rate = max(LEAST_RATE, round(PICTURES_PER_STEP / trace.scene.time_step))
+    encoding = replace(encoding, rate=min(encoding.rate, rate))
     write_whole(path, encoded(encoding, _pictures(trace, title, encoding, progress)))
 
 
@@ -114,14 +121,35 @@ class WorldPicture:
 
     trace: EpisodeTrace
 
+    def draw_still(self, canvas: Canvas) -> None:
+        """Draws what no step changes: of a track that is shown as a whole, all of it."""
+        if not self._follows:
+            self._draw_track(canvas, self._whole)
+
+    def draw_behind(self, canvas: Canvas, step: int) -> None:
+        """Draws over that what does not move within a step: of a track that is shown as a whole, the line driven."""
+        if not self._follows:
+            self._draw_line(canvas, self._whole, step)
+
     def draw(self, canvas: Canvas, step: int, share: float, pose: Floats, ranges: Floats) -> None:
-        """Draws the step being made, of which a share is done, the car's pose [3] and what its rays read [R], m."""
-        view = View(AREA, pose[:2], self._follow_scale) if self._follows else self._whole
-        lit = [gate for passed, gate in self.trace.passings if gate >= 0 and passed < step <= passed + FLASH]
-        draw_ground(canvas, view, self._ground, FILM, lit)
-        _draw_direction(canvas, view.places(self._ground.gates[-1]))
-        number_gates(canvas, view, self._ground.gates, 15, len(self._ground.gates), FAINT)
-        self._draw_trail(canvas, view, step, pose)
+        """Draws over both the step being made, of which a share is done.
+
+        Args:
+            canvas: with what `draw_still` and `draw_behind` draw.
+            step: its row.
+            share: that is done.
+            pose: of the car, [3].
+            ranges: what its rays read, [R], m.
+        """
+        view = self._whole
+        if self._follows:
+            view = View(AREA, pose[:2], self._follow_scale)
+            self._draw_track(canvas, view)
+            self._draw_line(canvas, view, step)
+        if self._known[step]:
+            palette, shades = self._trail_colours
+            piece = np.stack([self.trace.poses[step, :2], pose[:2]])[None]
+            draw_line(canvas, view, piece, shades[step : step + 1], palette, FILM.line.width(view))
         scene = self.trace.scene
         reaches = ranges / scene.sensor_range
         colours = [VERMILLION if reach < NEAR else GREEN for reach in reaches]
@@ -130,10 +158,21 @@ class WorldPicture:
         draw_car(canvas, view, pose, scene.body_radius, FILM, body_size=scene.body_size)
         if share == 1 and self.trace.ended == "collision":
             draw_cross(canvas, view.places(pose[:2]), 9, VERMILLION)
-        draw_scale_bar(canvas, view, OVERVIEW.right + 20 if self._follows else 24, AREA.bottom - 18, FILM)
         if self._follows:
+            draw_scale_bar(canvas, view, OVERVIEW.right + 20, AREA.bottom - 18, FILM)
             self._draw_overview(canvas, step, pose)
         canvas.box(0, 0, AREA.right, AREA.top, PAPER)
+
+    def _draw_track(self, canvas: Canvas, view: View) -> None:
+        draw_ground(canvas, view, self._ground, FILM)
+        _draw_direction(canvas, view.places(self._ground.gates[-1]))
+        number_gates(canvas, view, self._ground.gates, 15, len(self._ground.gates), FAINT)
+        if not self._follows:
+            draw_scale_bar(canvas, view, 24, AREA.bottom - 18, FILM)
+
+    @cached_property
+    def _passings(self) -> list[tuple[int, int]]:
+        return [(row, gate) for row, gate in self.trace.passings if gate >= 0]
 
     @cached_property
     def _ground(self) -> Ground:
@@ -160,12 +199,14 @@ class WorldPicture:
     def _trail_colours(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
         return trail_colours(self.trace, LIGHT)
 
-    def _draw_trail(self, canvas: Canvas, view: View, step: int, pose: Floats) -> None:
-        """The line to the car's pose, old parts of it in grey; where the log lacks a step there is none."""
-        way = np.vstack([self.trace.poses[: step + 1, :2], pose[None, :2]])
-        pieces, known = np.stack([way[:-1], way[1:]], axis=1), self._known[: step + 1]
-        palette, colours = [*self._trail_colours[0], OLD_TRAIL], self._trail_colours[1][: step + 1].copy()
-        colours[:-TRAIL] = len(palette) - 1
+    def _draw_line(self, canvas: Canvas, view: View, step: int) -> None:
+        """Gates just passed, and the line to where a step begins, old parts in grey; unlogged steps have none."""
+        lit = [gate for passed, gate in self._passings if passed < step <= passed + FLASH]
+        light_gates(canvas, view, self._ground, FILM, lit)
+        way, known = self.trace.poses[: step + 1, :2], self._known[:step]
+        pieces = np.stack([way[:-1], way[1:]], axis=1)
+        palette, colours = [*self._trail_colours[0], OLD_TRAIL], self._trail_colours[1][:step].copy()
+        colours[: max(0, step + 1 - TRAIL)] = len(palette) - 1
         draw_line(canvas, view, pieces[known], colours[known], palette, FILM.line.width(view))
 
     def _draw_overview(self, canvas: Canvas, step: int, pose: Floats) -> None:
@@ -179,21 +220,30 @@ class WorldPicture:
 
 def _pictures(
     trace: EpisodeTrace, title: str, encoding: Encoding, progress: Callable[[int, int], None]
-) -> Iterator[Picture]:
+) -> Iterator[NDArray[np.uint8]]:
     """Every picture of the video, the last one as often as it takes to hold it."""
-    motion, canvas = motion_of(trace, encoding.rate), PixelCanvas(WIDTH, HEIGHT, encoding.width / WIDTH)
+    canvas, still, behind, figures = (PixelCanvas(WIDTH, HEIGHT, encoding.width / WIDTH) for _ in range(4))
+    motion = motion_of(trace, encoding.rate)
     world, panel = WorldPicture(trace), Panel(trace, LIGHT.action_colours(len(trace.scene.action_names)))
+    still.clear(PAPER)
+    world.draw_still(still)
+    shown: tuple[int, bool] | None = None
     for frame in range(len(motion)):
         step, share = int(motion.steps[frame]), float(motion.shares[frame])
-        canvas.clear(PAPER)
+        now = step, share == 1
+        if now != shown:  # of which each has several pictures
+            behind.copy(still, WORLD)
+            world.draw_behind(behind, step)
+            panel.draw(figures, step, float(share == 1))
+            shown = now
+        canvas.copy(behind, WORLD)
         world.draw(canvas, step, share, motion.poses[frame], motion.ranges[frame])
-        panel.draw(canvas, step, share)
+        canvas.copy(figures, PANEL)
         _draw_title(canvas, trace, title, over=frame == len(motion) - 1)
-        picture = canvas.picture()
-        yield picture
+        yield canvas.pixels
         progress(frame + 1, len(motion))
     for _ in range(round(HOLD * encoding.rate)):
-        yield picture
+        yield canvas.pixels
 
 
 def _draw_title(canvas: Canvas, trace: EpisodeTrace, title: str, over: bool) -> None:

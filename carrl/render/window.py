@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from carrl.render.canvas import Picture
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")  # one of them is set wherever a window can be seen
+WITHOUT = "render_mode='rgb_array' needs no display"
+"""What an environment does without a window."""
 _NO_PYGAME = "a window needs pygame, which is not installed; pip install 'carrl[render]'"
 
 
@@ -21,21 +23,22 @@ class Window:
     Args:
         size: width and height, px.
         title: above it.
+        instead: what needs no display, for the message where there is none.
 
     Raises:
         ConfigError: there is no display, or no pygame.
     """
 
-    def __init__(self, size: tuple[int, int], title: str) -> None:
+    def __init__(self, size: tuple[int, int], title: str, instead: str = WITHOUT) -> None:
         """Opens it."""
-        check_can_open()
+        check_can_open(instead)
         self._pygame = pygame = _import_pygame()
         try:
             pygame.display.init()
             self._screen = pygame.display.set_mode(size)
         except pygame.error as error:
             pygame.display.quit()
-            raise ConfigError(_no_window(str(error))) from error
+            raise ConfigError(_no_window(str(error), instead)) from error
         pygame.display.set_caption(title)
         self._clock = pygame.time.Clock()
 
@@ -52,16 +55,16 @@ class Window:
         self._pygame.display.quit()
 
 
-def check_can_open() -> None:
+def check_can_open(instead: str = WITHOUT) -> None:
     """Raises ConfigError where there is no pygame, or no display; without one SDL 2.28 draws where nobody sees it."""
     if find_spec("pygame") is None:
-        raise ConfigError(_NO_PYGAME)
+        raise ConfigError(_NO_PYGAME if instead == WITHOUT else f"{_NO_PYGAME}; {instead}")
     if sys.platform == "linux" and not any(name in os.environ for name in DISPLAYS):
-        raise ConfigError(_no_window("no display was found"))
+        raise ConfigError(_no_window("no display was found", instead))
 
 
-def _no_window(reason: str) -> str:
-    return f"no window can be opened: {reason}; render_mode='rgb_array' needs no display"
+def _no_window(reason: str, instead: str) -> str:
+    return f"no window can be opened: {reason}; {instead}"
 
 
 def _import_pygame() -> Any:

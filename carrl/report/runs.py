@@ -6,7 +6,6 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +13,8 @@ from typing import Any
 
 from carrl.config import MOST
 from carrl.errors import CarrlError, CheckpointError, shown
-from carrl.train.files import CONFIG, EVALUATIONS, METRICS, SUMMARY, read_config, read_text, seed_folders
+from carrl.train.files import CONFIG, METRICS, SUMMARY, read_config, read_text, seed_folders
+from carrl.train.trials import Trials, read_trials
 
 Wanted = Mapping[str, tuple[type, ...]]
 _COUNT, _NUMBER, _FLAG = (int,), (int, float), (bool,)
@@ -117,23 +117,6 @@ class EpisodeEnds:
 
 
 @dataclass(frozen=True)
-class Trials:
-    """What `evaluations.csv` tells of each evaluation, in order.
-
-    Attributes:
-        frames: env steps of the run by then, [E].
-        laps: share of the drives that completed the lap, [E].
-        others: reward of the lap, or mean speed in m/s of a car whose speed varies, [E]; of all drives.
-        has_speed: whether it is the speed.
-    """
-
-    frames: tuple[int, ...] = ()
-    laps: tuple[float, ...] = ()
-    others: tuple[float, ...] = ()
-    has_speed: bool = False
-
-
-@dataclass(frozen=True)
 class RunResult:
     """One run's folder, read back.
 
@@ -158,7 +141,7 @@ class RunResult:
     @cached_property
     def trials(self) -> Trials:
         """Of its networks in training; none where they cannot be read."""
-        return _read_trials(self.folder)
+        return read_trials(self.folder)
 
     @property
     def counts(self) -> bool:
@@ -259,22 +242,6 @@ def _read_ends(folder: Path, forgiving: bool = False) -> EpisodeEnds:
             place = f"row {len(rows) + 2} has no frame, episode_return and mean_return_20"
             raise CheckpointError(f"{METRICS} is damaged: {place}") from error
     return EpisodeEnds(*zip(*rows, strict=True)) if rows else EpisodeEnds()
-
-
-def _read_trials(folder: Path) -> Trials:
-    """What `evaluations.csv` tells, up to a row that is damaged."""
-    rows: list[tuple[int, float, float]] = []
-    name = ""
-    with suppress(CarrlError, ValueError, KeyError, TypeError, ZeroDivisionError, csv.Error):
-        for row in csv.DictReader(io.StringIO(read_text(folder / EVALUATIONS), newline="")):
-            name = "mean_speed" if "mean_speed" in row else "lap_reward"
-            drives, completed = int(row.get("drives") or 1), row.get("laps_completed") or row["lap_completed"] == "True"
-            figures = (int(row["frames"]), int(completed) / drives, float(row[name]))
-            if not all(abs(figure) <= MOST for figure in figures) or len(rows) >= MOST_EPISODES:
-                break
-            rows.append(figures)
-    frames, laps, others = (tuple(column) for column in zip(*rows, strict=True)) if rows else ((), (), ())
-    return Trials(frames, laps, others, name == "mean_speed")
 
 
 def find_runs(roots: list[Path]) -> list[RunResult]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import nn
@@ -228,13 +228,37 @@ def load_network(run: Path, checkpoint: str, config: Config, world: World) -> nn
     Raises:
         CheckpointError: the checkpoint is missing, damaged, or of another network than the configuration's.
     """
+    return _load_network(run, checkpoint, config, world)[0]
+
+
+def _load_network(run: Path, checkpoint: str, config: Config, world: World) -> tuple[nn.Module, int]:
+    """The network, and after how many env steps it was saved; 0 where the checkpoint does not tell."""
     path = checkpoint_path(run, checkpoint)
-    state: Any = load_checkpoint(path).get("network")
+    saved = load_checkpoint(path)
+    state: Any = saved.get("network")
+    frames: Any = saved.get("frames")
     network = build_network(config, world)
     if not _fits(state, network.state_dict()):
         raise CheckpointError(f"checkpoint '{path}' does not fit the network in {run / CONFIG}")
     network.load_state_dict(state)
-    return network
+    return network, frames if type(frames) is int else 0
+
+
+class SavedPolicy(NamedTuple):
+    """What a network does without exploration, and after how many env steps it was saved."""
+
+    policy: Policy
+    frames: int
+
+
+def load_saved_policy(run: Path, checkpoint: str, config: Config, world: World) -> SavedPolicy:
+    """The greedy policy of a run's `best` or `last` network, which another process may be writing anew.
+
+    Raises:
+        CheckpointError: as `load_network` does.
+    """
+    network, frames = _load_network(run, checkpoint, config, world)
+    return SavedPolicy(greedy_policy(network, config), frames)
 
 
 def load_greedy_policy(run: Path, checkpoint: str, config: Config, world: World) -> Policy:
@@ -243,7 +267,7 @@ def load_greedy_policy(run: Path, checkpoint: str, config: Config, world: World)
     Raises:
         CheckpointError: as `load_network` does.
     """
-    return greedy_policy(load_network(run, checkpoint, config, world), config)
+    return load_saved_policy(run, checkpoint, config, world).policy
 
 
 def greedy_policy(network: nn.Module, config: Config) -> Policy:

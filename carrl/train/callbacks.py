@@ -1,139 +1,26 @@
-"""What a trainer does beside training (record, measure, evaluate), and what a log says of its run.
+"""What a trainer does beside training: record, measure, evaluate.
 
 Shapes: `A` replicates, `F` transitions of each.
 """
 
-import json
-import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
 
-import carrl
+from carrl.data.description import log_schema
 from carrl.data.replay_buffer import KEYS
 from carrl.data.source import Round
-from carrl.env.track_env import TrackEnv
 from carrl.evaluation.results import EvaluationResult, Rollout
 from carrl.evaluation.rollout import rollout
 from carrl.log.messages import Metrics
-from carrl.log.scene import STATE_UNITS, ObservationPart, Scene
-from carrl.log.schema import Column, Schema
 from carrl.sim.simulator import Simulator
-from carrl.sim.vehicle import POSE, Rectangle
 from carrl.train.plan import EvaluationPlan
 
 if TYPE_CHECKING:
     from carrl.train.trainer import Trainer
-
-PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "mcap", "protobuf", "numpy", "numba")
-_GIT_TIMEOUT_S = 5.0
-
-
-def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
-    """The entries of a log's metadata for the replicate with this seed, who drives so many cars."""
-    entries = {
-        "seed": str(seed),
-        "track": env.track.name if len(env.tracks) == 1 else f"{len(env.tracks)} tracks",
-        "num_envs": str(cars),
-        "packages": json.dumps({"carrl": carrl.__version__, **_versions()}),
-        **scene_of(env).entries(),
-    }
-    commit = git_commit()
-    return entries | ({"git_commit": commit} if commit else {})
-
-
-def scene_of(env: TrackEnv) -> Scene:
-    """The world of an environment, without its tracks, which a log has as attachments."""
-    vehicle, action, body = env.simulator.vehicle, env.task.action, env.simulator.vehicle.body
-    return Scene(
-        action_names=tuple(action.names),
-        control_names=tuple(action.control_names),
-        observation=tuple(ObservationPart(*part) for part in env.task.observation_parts),
-        reward_terms=env.task.reward.term_names,
-        sensor_angles=env.sensor_angles.double().cpu().numpy(),
-        sensor_range=env.sensor_range,
-        time_step=vehicle.time_step,
-        body_radius=body.half_width,
-        tracks=(),
-        body_size=(body.length, body.width) if isinstance(body, Rectangle) else None,
-        sensor_mount=float(env.simulator.sensor.mount),
-        friction=getattr(vehicle, "friction", None),
-    )
-
-
-def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
-    """The columns of a log: those of the environment, and those of the algorithm."""
-    parts = " then ".join(f"{part.width} of {part.name}" for part in env.task.observation_parts)
-    action, names = env.task.action, env.state_names
-    state_key, width = "pose" if names == POSE else "state", env.observation_spec["observation"].shape[-1]
-    terms = env.task.reward.term_names
-    counts = "gates of the episode passed"
-    known = STATE_UNITS | {"heading": "rad counter-clockwise from +x"}
-    units = ", ".join(known.get(name, name) for name in names)
-    if action.names:
-        chosen = ", ".join(f"{number} {name}" for number, name in enumerate(action.names))
-        actions = Column("action", "action", "int64", (), chosen, narrow=True)
-    else:
-        controls = tuple(action.control_names)
-        actions = Column("action", "action", "float32", action.spec.shape, "the controls, each in -1..1", controls)
-    task = (
-        Column("observation", "observation", "float32", (width,), f"before the action: {parts}"),
-        actions,
-        Column("reward", ("next", "reward"), "float32", (1,), "sum of the reward terms"),
-        Column("reward_terms", ("next", "reward_terms"), "float32", (len(terms),), "what each term paid", terms),
-        Column("next_observation", ("next", "observation"), "float32", (width,), f"after the action: {parts}"),
-        Column("terminated", ("next", "terminated"), "bool", (1,), "the episode ended here, in a terminal state"),
-        Column("truncated", ("next", "truncated"), "bool", (1,), "the episode was cut here, in no terminal state"),
-        Column("episode", "episode", "int64", (), "number of the episode within the run"),
-        Column("step", "step", "int64", (), "index of the transition within its episode, from 0", narrow=True),
-        Column("car", "car", "int64", (), "index of the car among those simulated side by side, from 0", narrow=True),
-        Column("track", "track", "int64", (), "index of the car's track among the attached ones", narrow=True),
-        Column("state", state_key, "float32", (len(names),), f"before the action: {units}", names),
-        Column(
-            "next_state",
-            ("next", state_key),
-            "float32",
-            (len(names),),
-            f"after the action: {units}",
-            names,
-        ),
-        Column("next_gate", "next_gate", "int64", (), "index of the gate to pass next, before the action", narrow=True),
-        Column("gates_passed", "gates_passed", "int64", (), f"{counts} before the action", narrow=True),
-        Column("next_gates_passed", ("next", "gates_passed"), "int64", (), f"{counts} after the action", narrow=True),
-        Column("time_ns", "time_ns", "int64", (), "simulated time before the action, since the start of the run, ns"),
-    )
-    collided = Column("collided", ("next", "collided"), "bool", (1,), "touching a wall ended the episode here")
-    return Schema((*task, collided) if env.task.end.has_others else task, tuple(algorithm))
-
-
-def git_commit() -> str | None:
-    """The commit of the checkout that this code runs from, with "-dirty" after it where files differ; None if none."""
-    root = Path(carrl.__file__).resolve().parents[1]
-    if not (root / ".git").exists():
-        return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    try:
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=_GIT_TIMEOUT_S, check=True
-        ).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for package in PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return versions
-
 
 LOGGED_TOGETHER = 2048
 """Env steps of each replicate after which they are logged."""
@@ -193,7 +80,7 @@ class Recorder(Callback):
         if batch.transitions is None or trainer.source.env is None:
             return
         if not self._keys:
-            schema = log_schema(trainer.source.env, trainer.algorithm.log_columns)
+            schema = log_schema(trainer.source.env.task, trainer.algorithm.log_columns)
             self._keys = list(dict.fromkeys([*schema.keys, *KEYS]))  # the columns, and what the loss reads besides
         self._waiting.append(batch.transitions.select(*self._keys).clone())
         if trainer.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:

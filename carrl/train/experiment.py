@@ -1,6 +1,5 @@
 """One training run, from its configuration to its pictures: what `carrl train`, `carrl tune` and Python go through."""
 
-import json
 import sys
 import time
 import warnings
@@ -15,6 +14,7 @@ import yaml
 from torchrl import logger as torchrl_logger
 
 from carrl.config import build_node, foreign_targets, module_of, name_for_trust
+from carrl.data.description import attachments, describe_run, log_schema
 from carrl.errors import CarrlError, CheckpointError
 from carrl.evaluation.results import Rollout
 from carrl.log.writer import LogWriter
@@ -24,7 +24,7 @@ from carrl.task.task import World
 from carrl.tracks.centreline import gap_of
 from carrl.tracks.track import Track
 from carrl.train.build import Pipeline, build_pipeline, logs_of
-from carrl.train.callbacks import Callback, describe_run, log_schema
+from carrl.train.callbacks import Callback
 from carrl.train.checkpoint import StateFile
 from carrl.train.files import CONFIG, LAP, LEARNING_CURVE, LOG, Inputs, check_inputs, checksums, write_text
 from carrl.train.folder import RunFolder, check_tables
@@ -33,6 +33,7 @@ from carrl.train.plan import checked_threads
 from carrl.train.replicate_run import ReplicateRun
 from carrl.train.scalars import Scalars
 from carrl.train.trainer import Trainer
+from carrl.train.trials import read_trials
 
 Config = dict[str, Any]
 Summary = dict[str, Any]
@@ -238,15 +239,9 @@ def _open_log(
         "recorder",
         config["recorder"],
         path=path / LOG,
-        schema=log_schema(env, pipeline.algorithm.log_columns),
-        attachments={
-            "config.yaml": as_yaml(config).encode(),
-            **{
-                f"track-{index}.json" if index else "track.json": json.dumps(track.as_dict()).encode()
-                for index, track in enumerate(env.tracks)
-            },
-        },
-        metadata=describe_run(env, seed, pipeline.source.cars),
+        schema=log_schema(env.task, pipeline.algorithm.log_columns),
+        attachments=attachments(as_yaml(config), env.tracks),
+        metadata=describe_run(env.task, seed, pipeline.source.cars),
         state=state["log"] if state else None,
         make_room=state_file.make_room,
     )
@@ -293,10 +288,17 @@ def _draw(trainer: Trainer) -> None:
 
 
 def _draw_learning_curve(run: ReplicateRun) -> None:
-    from carrl.render.curves import draw_learning_curve  # Here, since Matplotlib takes long to import.
+    # Here, since Matplotlib takes long to import.
+    from carrl.render.curves import EvaluationCurve, draw_learning_curve
 
-    first_lap = run.first_lap.episode if run.first_lap else None
-    draw_learning_curve(run.folder.path / LEARNING_CURVE, run.episode_returns, first_lap_episode=first_lap)
+    trials, first = read_trials(run.folder.path), run.first_lap
+    name = "mean speed, m/s" if trials.has_speed else "reward of the lap"
+    draw_learning_curve(
+        run.folder.path / LEARNING_CURVE,
+        run.episode_returns,
+        first_lap_episode=first.episode if first else None,
+        evaluations=EvaluationCurve(trials.frames, trials.others, trials.laps, name, first.frame if first else None),
+    )
 
 
 def _draw_lap(world: World, run: ReplicateRun) -> None:

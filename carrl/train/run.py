@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -16,9 +16,10 @@ import yaml
 from torch import Tensor
 
 from carrl.errors import CarrlError, CheckpointError, ConfigError, shown
-from carrl.evaluation.asked import PolicyName
+from carrl.evaluation.asked import PolicyName, check_is_free, check_one_drives
 from carrl.evaluation.baselines import random_policy, rule_of
 from carrl.evaluation.document import Laps, checked_limits, evaluation_figures
+from carrl.evaluation.drive_log import DriveLog
 from carrl.evaluation.follow_the_gap import follow_the_gap_of
 from carrl.evaluation.line_driver import line_driver_of
 from carrl.evaluation.rollout import Policy, TrackEvaluator
@@ -31,7 +32,7 @@ from carrl.tracks.track import Track
 from carrl.train.build import build_world, load_greedy_policy
 from carrl.train.callbacks import Callback
 from carrl.train.composition import composed, quote
-from carrl.train.experiment import Config, Experiment, ProgressPrinter, RoadWarner, Summary, own_modules
+from carrl.train.experiment import Config, Experiment, ProgressPrinter, RoadWarner, Summary, as_yaml, own_modules
 from carrl.train.files import LOG, SUMMARY, load_config, read_text, seed_folders
 from carrl.train.new_folder import locked, make_new
 from carrl.train.overrides import check_is_read, is_text, named_overrides, readable_overrides
@@ -125,6 +126,7 @@ class Run:
         laps: int = 1,
         limits: Mapping[str, float] | None = None,
         speed_trace: str | Path | None = None,
+        log: str | Path | None = None,
     ) -> dict[str, Any]:
         """Drives the run's policies, and a hand-written rule beside them, and measures how well they drive.
 
@@ -136,13 +138,14 @@ class Run:
             laps: driven in a row from each place; of several the last one is measured, a flying lap.
             limits: the least time that the car could take for a flying lap of tracks, by their names, s.
             speed_trace: a file to write each measured lap to, moment by moment, as CSV.
+            log: a new file to keep all drives of the policy in, as a log like training's.
 
         Returns:
             What `carrl evaluate --json` prints.
 
         Raises:
-            CarrlError: a track or a checkpoint cannot be read, a limit is no time or of no track that is driven, or the
-                file cannot be written.
+            CarrlError: a track or a checkpoint cannot be read, a limit is no time or of no track that is driven, a file
+                cannot be written, or a log is asked for of several seeds.
         """
         loaded, refused = load_tracks([tracks] if isinstance(tracks, str | Path | Track) else tracks)
         circuits = loaded or list(self.world.circuits.validation)
@@ -150,8 +153,12 @@ class Run:
         count = len(self._folders) if policy == "greedy" else 1  # the others differ in nothing that drives
         chosen = list(zip(self._folders[:count], self._configs, strict=False))
         evaluator = TrackEvaluator(self.world, circuits, starts, laps)
+        if log is not None:
+            check_one_drives(count)
+            check_is_free(log)
         drivers = [self._driver(folder, config, policy, checkpoint, circuits) for folder, config in chosen]
-        driven = [evaluator.evaluate(each, world, speed_trace is not None) for world, each in drivers]
+        with self._recorder(log, circuits, starts, policy, checkpoint) as recorder:
+            driven = [evaluator.evaluate(each, world, speed_trace is not None, recorder) for world, each in drivers]
         rule = self._laps_of_the_rule(evaluator) if policy != "rule" else None
         if speed_trace is not None:
             names = [f"seed {config['seed']}" if policy == "greedy" else policy for _, config in chosen]
@@ -191,6 +198,19 @@ class Run:
         if policy == "random":
             return self.world, random_policy(checked_seed(config["seed"]), self.world.action)
         return self.world, load_greedy_policy(folder, checkpoint, config, self.world)
+
+    def _recorder(
+        self, log: str | Path | None, tracks: Sequence[Track], starts: int, policy: str, checkpoint: str
+    ) -> AbstractContextManager[DriveLog | None]:
+        """What keeps the drives of the policy, if anything does."""
+        if log is None:
+            return nullcontext()
+        entries = (
+            {"policy": policy, "run_folder": str(self.folder.resolve())} if self.folder.name else {"policy": policy}
+        )
+        entries |= {"checkpoint": checkpoint} if policy == "greedy" else {}
+        seed = checked_seed(self.config["seed"])
+        return DriveLog(Path(log), as_yaml(self.config), tracks, len(tracks) * starts, seed, entries)
 
     def _laps_of_the_rule(self, evaluator: TrackEvaluator) -> Laps | None:
         """None of a car that the rule cannot drive."""

@@ -29,6 +29,10 @@ REFUSALS = [
     "drive --run nowhere",
     "drive --vehicle lorry",
     "drive --fps 0",
+    "watch nowhere",
+    "watch nowhere --out lap.avi",
+    "evaluate --policy rule --log lap.csv",
+    "evaluate --policy rule --video lap.avi",
     "report nowhere",
     "tune",
     "tune --trials 0 experiment=tune",
@@ -110,4 +114,4 @@ def test_the_next_command_can_be_typed_where_carrl_is_not_on_the_path(monkeypatc
 def test_carrl_alone_shows_the_commands_that_matter(capsys):
     assert main([]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  carrl ")]
-    assert [line.split()[1] for line in lines] == ["train", "evaluate", "log", "report", "track"]
+    assert [line.split()[1] for line in lines] == ["train", "evaluate", "watch", "report", "track"]

@@ -205,3 +205,14 @@ def test_infos_hold_the_same_numbers_after_a_reset_and_after_a_step():
     assert [first[name] for name in (*PAPER_TERMS, "shaping")] == [0] * 5
     for name, value in (first | after).items():
         assert np.asarray(value).dtype.kind in "if", name
+
+
+def test_a_reset_may_put_the_car_anywhere_along_the_track():
+    env = gymnasium.make("carrl/Track-v0", track="oval")
+    track = env.unwrapped.tracks[0]
+    for options, station in (({"station": 30.0}, 30.0), (None, 0.0)):
+        _, info = env.reset(options=options)
+        np.testing.assert_allclose(info["pose"], track.pose_at(torch.tensor([station]))[0], atol=1e-5)
+    for station in (-1, 1e6, "far", np.nan):
+        with pytest.raises(ConfigError, match=r"station is .*; it must be a place on the track, from 0 to "):
+            env.reset(options={"station": station})

@@ -72,6 +72,16 @@ def test_only_the_trajectory_of_the_drive_to_look_at_is_kept(kept, lap, crash):
     assert (loaded.rollouts[1].ranges == trial.rollouts[1].ranges).all()
 
 
+def test_of_equally_good_networks_the_fastest_is_the_best(lap):
+    assert lap.lap_time is not None
+    sectors = tuple(0.9 * sector for sector in lap.sector_times[-1])
+    faster = replace(lap, sector_times=(*lap.sector_times[:-1], sectors), forward_share=0.0)
+    assert EvaluationResult((faster,)).quality > EvaluationResult((lap,)).quality
+    assert EvaluationResult((replace(faster, lap_reward=350.0),)).quality < EvaluationResult((lap,)).quality
+    smoother = replace(lap, steering_reward=lap.steering_reward + 1)
+    assert EvaluationResult((smoother,)).quality > EvaluationResult((faster,)).quality
+
+
 def test_more_laps_are_better_than_more_progress(lap, crash):
     hopeless = replace(crash, progress=0.0)
     one_lap, none = EvaluationResult((lap, hopeless)), EvaluationResult((replace(crash, progress=0.9),) * 2)

@@ -8,6 +8,7 @@ import torch
 
 import carrl
 from carrl.cli.text.episode_text import _progress
+from carrl.data.description import log_schema
 from carrl.evaluation.baselines import rule_of, rule_policy
 from carrl.evaluation.rollout import rollout
 from carrl.log import Column, Log, read_trace
@@ -15,7 +16,6 @@ from carrl.log.laps import recorded_laps
 from carrl.sim.kinematic import Kinematic
 from carrl.sim.sensor import Sensor
 from carrl.task.action import ContinuousActions
-from carrl.train.callbacks import log_schema
 from tests.log.test_trace import drive
 from tests.logs import dqn_columns
 from tests.worlds import make_world
@@ -31,7 +31,7 @@ def two_laps(tmp_path_factory):
     drive(
         path,
         env,
-        log_schema(env, dqn_columns()),
+        log_schema(env.task, dqn_columns()),
         550,
         lambda _, now: now.set("action", rule_policy(now["observation"])),
     )
@@ -64,7 +64,7 @@ def test_a_car_with_pedals_has_the_lap_time_of_an_evaluation_too(tmp_path):
     drive(
         path,
         env,
-        log_schema(env, LOG_PROB),
+        log_schema(env.task, LOG_PROB),
         driven.lap_steps + 1,
         lambda _, now: now.set("action", policy(now["observation"])),
     )

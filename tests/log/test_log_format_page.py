@@ -7,6 +7,7 @@ import pytest
 
 import carrl
 from carrl.algorithms.dqn.dqn import dqn_columns
+from carrl.data.description import log_schema
 from carrl.log.messages import Episode, MetricsFields
 from carrl.log.schema import (
     CHANNELS,
@@ -17,10 +18,9 @@ from carrl.log.schema import (
     METRICS,
     small_message_class,
 )
-from carrl.train.callbacks import log_schema
 
 PAGE = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text()
-SCHEMA = log_schema(carrl.TrackEnv(), dqn_columns(("forward", "left", "right")))
+SCHEMA = log_schema(carrl.TrackEnv().task, dqn_columns(("forward", "left", "right")))
 ROWS = [line.strip("| ").split(" | ") for line in PAGE.splitlines() if line.startswith("| ")]
 
 

@@ -30,6 +30,7 @@ from carrl.log.mcap_records import unpack
 from carrl.log.mcap_write import McapFile
 from carrl.log.messages import Episode, Metrics
 from carrl.log.schema import MESSAGE_NAMES, METADATA_NAME, TRANSITIONS, schema_bytes
+from carrl.log.verification import verify
 from carrl.log.writer import LogWriter
 from tests.logs import make_schema
 
@@ -201,6 +202,38 @@ def test_files_that_are_no_mcap_are_refused(tmp_path):
     ):
         (tmp_path / name).write_bytes(content)
         assert_refused(tmp_path / name, words)
+
+
+def test_a_log_that_is_being_written_is_read_as_far_as_it_has_come(tmp_path, transitions):
+    path = tmp_path / "train.mcap"
+    with LogWriter(path, schema=make_schema(), attachments={"config.yaml": b"seed: 1"}, metadata={}) as writer:
+        assert len(read_columns(path)["step"]) == 0
+        writer.write(transitions(4))
+        writer.flush()
+        with open(path, "ab") as file:  # a record of which half is there yet
+            file.write(path.read_bytes()[-20:])
+        assert len(read_columns(path)["step"]) == 4
+        assert read_attachment(path, "config.yaml") == b"seed: 1"
+        with pytest.raises(DamagedLogError, match="is unfinished"):
+            verify(path)
+        os.truncate(path, path.stat().st_size - 20)
+        writer.write(transitions(2))
+        writer.write_episode(Episode(0, 0, 0, 4, 0, 400_000_000, 1.0, 4, 0, 0, "collision", (0.0, 0.0, 0.0)))
+        writer.flush()
+        assert len(read_columns(path)["step"]) == 6
+        assert [episode.length for episode in read_episodes(path)] == [4]
+        assert read_summary(path).transitions == 6
+    verify(path)
+
+
+def test_what_nobody_writes_any_more_is_unfinished(tmp_path, transitions):
+    path = tmp_path / "train.mcap"
+    with LogWriter(path, schema=make_schema(), attachments={}, metadata={}) as writer:
+        writer.write(transitions(4))
+        writer.flush()
+        killed = path.read_bytes()
+    path.write_bytes(killed)
+    assert_refused(path, "is unfinished")
 
 
 def test_every_sampled_truncation_is_refused(log_path):

@@ -13,6 +13,7 @@ import torch
 
 import carrl
 from carrl.cli.main import main
+from carrl.data.description import describe_run, log_schema, scene_of
 from carrl.data.source import EpisodeTracker
 from carrl.errors import DamagedLogError, LogError
 from carrl.log import Column, Log, read_trace
@@ -26,7 +27,6 @@ from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import ContinuousActions
 from carrl.task.episode import Start
 from carrl.task.reward import Collision, Gate, Reward
-from carrl.train.callbacks import describe_run, log_schema, scene_of
 from tests.driven_episode import SPEED
 from tests.logs import dqn_columns, make_schema
 
@@ -41,7 +41,7 @@ def drive(path, env, schema, rounds, choose, first=0):
     attachments = {name: json.dumps(track.as_dict()).encode() for name, track in zip(names, env.tracks, strict=True)}
     attachments["config.yaml"] = b"seed: 0\n"
     state, steps = env.reset(), []
-    with LogWriter(path, schema=schema, attachments=attachments, metadata=describe_run(env, 0, 2)) as writer:
+    with LogWriter(path, schema=schema, attachments=attachments, metadata=describe_run(env.task, 0, 2)) as writer:
         for number in range(rounds):
             transition, state = env.step_and_maybe_reset(choose(number, state))
             batch = transition[:, None]
@@ -67,7 +67,7 @@ def driven(tmp_path_factory):
     def choose(number, state):
         return state.set("action", torch.tensor([(1, 0, 2)[number % 3], 0]))
 
-    return path, env, drive(path, env, log_schema(env, dqn_columns()), 10, choose)
+    return path, env, drive(path, env, log_schema(env.task, dqn_columns()), 10, choose)
 
 
 EPISODE = {".csv": [], ".npz": [], ".html": ["--episode", "0"], ".gif": ["--episode", "0"]}
@@ -103,7 +103,7 @@ def test_a_trace_is_what_was_simulated_whatever_is_driven_and_paid(tmp_path, wei
     steps = drive(
         tmp_path / "a.mcap",
         env,
-        log_schema(env, dqn_columns()),
+        log_schema(env.task, dqn_columns()),
         120,
         lambda _, state: env.rand_action(state) if torch.rand(()) < 0.3 else state.set("action", rule(state)),
         first,
@@ -145,7 +145,7 @@ class Drifting(VehicleModel):
 def test_a_log_of_another_vehicle_other_actions_and_another_algorithm_reads_by_what_it_says_itself(tmp_path, capsys):
     action = ContinuousActions(("steer", "throttle"))
     env = carrl.TrackEnv("oval", num_envs=2, seed=0, max_steps=30, vehicle=Drifting(), action=action)
-    schema = log_schema(env, [Column("log_prob", "log_prob", "float64", (), "log probability of the action")])
+    schema = log_schema(env.task, [Column("log_prob", "log_prob", "float64", (), "log probability of the action")])
     path = tmp_path / "train.mcap"
     steps = drive(path, env, schema, ROUNDS, lambda _, state: env.rand_action(state))
     with Log(path) as log:
@@ -289,7 +289,7 @@ def test_a_log_that_does_not_tell_what_was_driven_is_refused_in_one_sentence(tmp
 
 
 def test_entries_of_a_scene_come_back(driven):
-    scene = scene_of(driven[1])
+    scene = scene_of(driven[1].task)
     again = Scene.from_entries(scene.entries(), [])
     assert again.entries() == scene.entries()
 
@@ -355,7 +355,7 @@ def test_a_log_of_a_car_with_pedals_is_read_by_every_verb_and_written_in_every_f
     action = ContinuousActions(("steer", "pedal"))
     sensor = Sensor(rays=7, max_range=30.0, mount=1.2)
     env = carrl.TrackEnv("oval", num_envs=2, seed=0, max_steps=30, vehicle=Kinematic(), sensor=sensor, action=action)
-    schema = log_schema(env, [Column("log_prob", "log_prob", "float64", (), "log probability of the action")])
+    schema = log_schema(env.task, [Column("log_prob", "log_prob", "float64", (), "log probability of the action")])
     path = tmp_path / "train.mcap"
     steps = drive(path, env, schema, ROUNDS, lambda _, state: env.rand_action(state))
     with Log(path) as log:

@@ -16,6 +16,7 @@ from carrl.render.colours import BLACK, BLUE, GREEN, LIGHT, VERMILLION, YELLOW, 
 from carrl.render.curves import (
     DOT,
     DPI,
+    EvaluationCurve,
     RunCurve,
     block_centres,
     block_means,
@@ -112,8 +113,8 @@ def test_block_means_by_hand():
     np.testing.assert_allclose(block_means([1, 2, 3, 10, 20, 30], 3), [2, 20])
 
 
-def test_a_last_incomplete_block_is_left_out():
-    np.testing.assert_allclose(block_means([1, 2, 3, 10, 20], 3), [2])
+def test_a_last_block_may_be_shorter_and_is_not_dropped():
+    np.testing.assert_allclose(block_means([1, 2, 3, 10, 20], 3), [2, 15])
 
 
 def test_an_incomplete_block_counts_if_it_is_the_only_one():
@@ -125,7 +126,7 @@ def test_no_episode_has_no_block():
 
 
 def test_blocks_stand_in_the_middle_of_their_episodes():
-    np.testing.assert_allclose(block_centres(45, 20), [10.5, 30.5])
+    np.testing.assert_allclose(block_centres(45, 20), [10.5, 30.5, 43])
 
 
 def test_bounds_leave_out_a_freak_episode_but_no_block_mean():
@@ -154,6 +155,26 @@ def test_learning_curve_of_equal_returns(tmp_path):
 def test_first_lap_is_marked(tmp_path, first_lap):
     draw_learning_curve(tmp_path / "curve.png", noisy_returns(300), first_lap_episode=first_lap)
     assert pixels_of(tmp_path / "curve.png", VERMILLION, tolerance=60) > 250
+
+
+def test_evaluations_stand_beside_the_returns_with_filled_marks_where_every_lap_was_completed(tmp_path):
+    def draw(laps, first_lap_frame=None):
+        curve = EvaluationCurve([0, 500, 1000, 1500], [-200.0, 50.0, 400.0, 400.0], laps, "reward", first_lap_frame)
+        draw_learning_curve(tmp_path / "curve.png", noisy_returns(60), evaluations=curve)
+        assert size_of(tmp_path / "curve.png") == (910, 468)
+        return pixels_of(tmp_path / "curve.png", BLUE), pixels_of(tmp_path / "curve.png", VERMILLION, tolerance=60)
+
+    none, lapped, marked = draw([0.0] * 4), draw([0, 0.5, 1, 1]), draw([0, 0.5, 1, 1], first_lap_frame=1000)
+    assert lapped[0] > none[0] + 60
+    assert (none[1], lapped[1]) == (0, 0)
+    assert marked[1] > 250
+
+
+def test_one_evaluation_is_no_curve(tmp_path):
+    curve = EvaluationCurve([1500], [400.0], [1.0], "reward")
+    draw_learning_curve(tmp_path / "with.png", noisy_returns(60), evaluations=curve)
+    draw_learning_curve(tmp_path / "without.png", noisy_returns(60))
+    assert (tmp_path / "with.png").read_bytes() == (tmp_path / "without.png").read_bytes()
 
 
 def test_single_returns_are_drawn_behind_the_means(tmp_path):

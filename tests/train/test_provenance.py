@@ -7,11 +7,11 @@ from importlib.metadata import version
 import pytest
 
 import carrl
-from carrl.train.callbacks import describe_run, git_commit
+from carrl.data.description import describe_run, git_commit
 
 
 def test_the_entries_name_seed_track_and_packages():
-    entries = describe_run(carrl.TrackEnv("oval", num_envs=3, seed=0), seed=5, cars=3)
+    entries = describe_run(carrl.TrackEnv("oval", num_envs=3, seed=0).task, seed=5, cars=3)
     assert (entries["seed"], entries["track"], entries["num_envs"]) == ("5", "oval", "3")
     packages = json.loads(entries["packages"])
     assert packages["torch"] == version("torch")

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from carrl.config import config_dir
+from carrl.data.description import log_schema
 from carrl.errors import CarrlError, ConfigError
 from carrl.evaluation.rollout import TrackEvaluator
 from carrl.log import load
 from carrl.log.writer import LogWriter
 from carrl.train.build import build_pipeline
-from carrl.train.callbacks import log_schema
 from carrl.train.folder import RunFolder
 from carrl.train.plan import TrainingPlan
 from carrl.train.trainer import Trainer
@@ -30,7 +30,7 @@ def train(folder, *overrides):
     pipeline = build_pipeline(config)
     with ExitStack() as stack:
         folders = []
-        schema = log_schema(pipeline.source.env, pipeline.algorithm.log_columns)
+        schema = log_schema(pipeline.source.env.task, pipeline.algorithm.log_columns)
         for replicate in pipeline.algorithm.replicates:
             path = folder / str(replicate.seed) if len(pipeline.algorithm.replicates) > 1 else folder
             path.mkdir(parents=True, exist_ok=True)

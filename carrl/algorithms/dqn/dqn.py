@@ -22,7 +22,7 @@ from carrl.algorithms.common.parts import check_parts
 from carrl.algorithms.common.stand_ins import standing_in
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import ConservativeDQNLoss
-from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyPolicy
+from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyActions, GreedyPolicy, value_column
 from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.log.schema import Column
@@ -254,9 +254,8 @@ def _buffers_of(loss: DQNLoss) -> dict[str, Any]:
 
 def dqn_columns(action_names: Sequence[str]) -> tuple[Column, ...]:
     """What DQN has to say of a transition."""
-    names = tuple(action_names)
     return (
-        Column("action_value", "action_value", "float32", (len(names),), "Q-values of the actions", names),
+        value_column(action_names),
         Column("epsilon", "epsilon", "float32", (), "probability with which an action was drawn at random"),
         Column("exploratory", "exploratory", "bool", (), "the action was drawn at random"),
     )
@@ -333,4 +332,4 @@ class DQNRecipe:
 
     def greedy_policy(self, network: QNetwork) -> Policy:
         """The action of the highest value."""
-        return GreedyPolicy([network]).actions
+        return GreedyActions(network)

@@ -20,6 +20,7 @@ from carrl.algorithms.algorithm import CollectPolicy
 from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.common.stacked import StackedLayers
 from carrl.errors import ConfigError
+from carrl.log.schema import Column
 from carrl.task.random_streams import restore, states_of
 
 
@@ -228,6 +229,31 @@ class GreedyPolicy(TensorDictModuleBase):
         tensordict["chosen_action_value"] = values.gather(-1, action[:, None])
         tensordict["action"] = action
         return tensordict
+
+
+class GreedyActions:
+    """The actions of the highest value, by one network, as a function of observations; a log is told the values."""
+
+    def __init__(self, network: QNetwork) -> None:
+        self._policy = GreedyPolicy([network])
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """The actions [B], int64: observations [B, O] as the environment gives them."""
+        return self._policy.actions(observation)
+
+    def log_columns(self, action_names: Sequence[str]) -> tuple[Column, ...]:
+        """What `logged` has to say."""
+        return (value_column(action_names),)
+
+    def logged(self, observation: Tensor) -> dict[str, Tensor]:
+        """The columns' values."""
+        return {"action_value": self._policy.action_values(observation)}
+
+
+def value_column(action_names: Sequence[str]) -> Column:
+    """The value of every action."""
+    names = tuple(action_names)
+    return Column("action_value", "action_value", "float32", (len(names),), "Q-values of the actions", names)
 
 
 class ExploringPolicy(CollectPolicy):

@@ -27,6 +27,9 @@ WRITERS = {
     ".mp4": ("carrl.render.video", "write_video"),
     ".gif": ("carrl.render.video", "write_video"),
     ".html": ("carrl.export.page", "write_replay_page"),
+    ".png": ("carrl.render.trace_picture", "write_picture"),
+    ".pdf": ("carrl.render.trace_picture", "write_picture"),
+    ".svg": ("carrl.render.trace_picture", "write_picture"),
     ".rrd": ("carrl.export.rerun", "write_recording"),
     ".mcap": ("carrl.export.foxglove", "write_viewer_log"),
 }
@@ -38,11 +41,11 @@ def add_to(verbs: Verbs) -> None:
     description = (
         "Writes OUT in the format that its name ends in. .csv, .parquet and .npz hold all transitions asked for, "
         "in the columns of the log. .mp4 and .gif are a video of one episode, .html a page that replays it in any "
-        "browser, .rrd a recording for Rerun, .mcap a log for Foxglove; by default of that with the highest return."
+        "browser, .png, .pdf and .svg a picture of the line driven, .rrd a recording for Rerun, .mcap a log for "
+        "Foxglove; by default of that with the highest return."
     )
-    verb = add_verb(
-        verbs, "export", _export, "a table of transitions; a video, page or recording of an episode", description
-    )
+    what = "a table of transitions; a video, page, picture or recording of an episode"
+    verb = add_verb(verbs, "export", _export, what, description)
     verb.add_argument("out", type=Path, metavar="OUT", help="the file to write; an older one is replaced")
     add_selection(verb)
     description = "Writes a page that replays one episode, or with --rerun a recording, says where it is, and opens it."
@@ -83,7 +86,7 @@ def _write_episode(log: Log, arguments: argparse.Namespace) -> str:
             f"a {ending} file shows one whole episode; choose it with a single --episode and no other flag"
         )
     trace = choose_trace(log, episodes[0])
-    _write(arguments.out, log, trace)
+    write_episode(arguments.out, trace, _title(log, trace))
     return f"episode {trace.episode}, {counted(len(trace), 'step')}"
 
 
@@ -97,23 +100,31 @@ def _replay(arguments: argparse.Namespace) -> int:
         trace = choose_trace(log, arguments.episode)
         out = out or _folder_beside(source) / f"episode-{trace.episode}{ending}"
         check_output(out, source)
-        _write(out, log, trace)
+        write_episode(out, trace, _title(log, trace))
     print(printable(str(out)), flush=True)
     if not arguments.no_open:
         _open(out, arguments.rerun)
     return 0
 
 
-def _write(path: Path, log: Log, trace: EpisodeTrace) -> None:
-    """Writes the file that shows an episode, called by the run's folder and the episode's number."""
+def write_episode(path: Path, trace: EpisodeTrace, title: str) -> None:
+    """Writes the file that shows an episode, in the format that its name ends in, one of `WRITERS`.
+
+    Raises:
+        CarrlError: it cannot be written, or a package for it is not installed.
+    """
     module, function = WRITERS[path.suffix.lower()]
     write = getattr(importlib.import_module(module), function)
-    title = f"{log.path.resolve().parent.name}, episode {trace.episode}"
     if function != "write_video":
         write(path, trace, title)
         return
     with pictures_drawn() as drawn:  # drawing takes its time
         write(path, trace, title, drawn)
+
+
+def _title(log: Log, trace: EpisodeTrace) -> str:
+    """The run's folder and the episode's number."""
+    return f"{log.path.resolve().parent.name}, episode {trace.episode}"
 
 
 def _folder_beside(source: Path) -> Path:

@@ -34,6 +34,7 @@ END_NAMES = {
     "collision": "collision",
     "time limit": "time limit",
     "other end": "other end",
+    "laps complete": "laps complete",
     "unfinished": "the record ends",
 }
 MOST_ACTIONS, CHOSEN_AND_BEST = 6, ("chosen", "best")

@@ -4,6 +4,7 @@ const ENDINGS = {
   collision: "ended by a collision",
   "time limit": "cut at the time limit",
   "other end": "ended, not at a wall",
+  "laps complete": "laps complete",
   unfinished: "unfinished in the log",
 };
 
