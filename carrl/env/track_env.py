@@ -282,9 +282,10 @@ class TrackEnv(EnvBase):
         """The state and the observation by the names of the keys."""
         state, cars = now.state, now.state.cars
         carried = {"station": cars.station, "stalled": state.stalled, "collided": self._collided(state)}
-        others = vars(cars.others) if self.task.has_opponents else {}
-        return {name: value for name, value in carried.items() if value is not None} | {
-            **{("others", name): value for name, value in others.items()},
+        others: dict[str, Tensor] = vars(cars.others) if self.task.has_opponents else {}
+        found: dict[str | tuple[str, str], Tensor] = {("others", name): value for name, value in others.items()}
+        found |= {name: value for name, value in carried.items() if value is not None}
+        return found | {
             "observation": now.observation,
             "pose": cars.pose if self._state_key == "state" else cars.state,
             self._state_key: cars.state,

@@ -140,6 +140,9 @@ class Simulator:
         ConfigError: there is no track, the rays start outside of the car, or it cannot slide.
     """
 
+    cars_per_world: int = 1
+    """Cars that see and touch each other."""
+
     def __init__(
         self,
         track: Track | Sequence[Track],

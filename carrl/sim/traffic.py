@@ -117,7 +117,7 @@ class Traffic(Simulator):
         nothing = np.zeros((0, len(vehicle.state_names)), np.float32)
         see(self._outline, nothing, cars_per_world, 1, np.zeros((0, sensor.rays), np.float32))
         meet(self._outline, nothing, nothing, cars_per_world)
-        self.prepared = opponents.prepare(self) if opponents else None
+        self.prepared: Any = opponents.prepare(self) if opponents else None
 
     @property
     def rows_per_world(self) -> int:

@@ -70,13 +70,14 @@ class GridSampler(StartSampler):
         states = {name: values.to(traffic.device) for name, values in states.items()}
         track = track.to(traffic.device)
         if self._rows > 1:
-            own = {name: values[starts.to(traffic.device)] for name, values in states.items() if name != "station"}
-            return CarState(track=track[:, None].expand(-1, count)[starts.to(traffic.device)], **own)
-        own = {name: values[:, 0] for name, values in states.items() if name != "station"}
+            starting = starts.to(traffic.device)
+            state, next_gate, passed = (states[name][starting] for name in ("state", "next_gate", "gates_passed"))
+            return CarState(state, next_gate, passed, track[:, None].expand(-1, count)[starting])
+        state, next_gate, passed = (states[name][:, 0] for name in ("state", "next_gate", "gates_passed"))
         found = {name: values[:, 1:].contiguous() for name, values in states.items()}
         others = Others(**found, lane=torch.zeros_like(found["station"]))
         begun = traffic.opponents.begin(traffic, others, draws[:, 1:, _OWN:], track)  # type: ignore[union-attr]
-        return CarState(track=track, others=begun, **own)
+        return CarState(state, next_gate, passed, track, others=begun)
 
     def _present(self, now: CarState | None, world: Tensor, starts: Tensor) -> dict[str, Tensor]:
         """The state of the worlds [V, K] as it is, with cars that start far from everywhere."""
