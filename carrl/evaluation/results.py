@@ -21,7 +21,7 @@ MEANS = (
     *("mean_speed", "steering_change", "grip_mean", "near_wall_share"),
 )
 """Measures of a drive that are averaged, as far as it has them."""
-TRAJECTORY = ("poses", "ranges", "actions", "speeds")
+TRAJECTORY = ("poses", "ranges", "actions", "speeds", "others")
 DECIMALS = 3
 """Of lap times for machines, s."""
 LEAST_KM, LEAST_LAPS = 1e-3, 1e-6
@@ -92,6 +92,7 @@ class Rollout:
         mean_speed: m/s; None of a car whose speed never varies, as are the next two.
         distance: driven, m.
         speeds: at each pose, [T + 1], m/s.
+        others: poses of the other cars of the world at each pose, [T + 1, M, 3]; None of a car that is alone.
         grip_mean: of the tyres, the share of the limit of grip used, mu g, over the steps; None where it is not known,
             as is the next one.
         grip_greatest: the greatest of these shares.
@@ -121,6 +122,7 @@ class Rollout:
     mean_speed: float | None = None
     distance: float | None = None
     speeds: np.ndarray | None = field(default=None, repr=False)
+    others: np.ndarray | None = field(default=None, repr=False)
     grip_mean: float | None = None
     grip_greatest: float | None = None
     overtakes: int | None = None

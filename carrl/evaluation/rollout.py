@@ -327,4 +327,5 @@ def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> 
         ranges=simulator.sense(cars).cpu().numpy(),
         actions=course.action[1 : driven.lap_steps + 1].cpu().numpy().copy(),
         speeds=cars.state[:, names.index("speed")].cpu().numpy().copy() if "speed" in names else None,
+        others=cars.others.state[..., :3].cpu().numpy().copy() if cars.others else None,
     )

@@ -395,6 +395,14 @@ class World:
         """Values of an observation."""
         return sum(part.width for part in self.observation.parts(self.sensor, self.action))
 
+    @property
+    def end(self) -> End:
+        """Of an evaluation: touching a wall, or another car unless it is known what that does to a car's speed."""
+        ends: dict[str, EndTerm] = {"contact": EndAtContact()}
+        if self.bump is not None:
+            ends["cars"] = BumpIntoCars(self.bump)
+        return End(ends)
+
     def simulator(self, tracks: Track | Sequence[Track], device: torch.device | str = "cpu") -> Simulator:
         """The car and its rays on these tracks, among the opponents if there are any."""
         parts = tracks, self.vehicle, self.sensor, device
@@ -418,12 +426,6 @@ class World:
         return behind_opponents(simulator, cars, stations, self.gap, draws)
 
     def evaluation_task(self, simulator: Simulator, cars: int) -> Task:
-        """Episodes of so many cars, without a limit of steps, that end where a car touches a wall.
-
-        Touching another car ends them, too, unless it is known how fast the car is then.
-        """
-        ends: dict[str, EndTerm] = {"contact": EndAtContact()}
-        if self.bump is not None:
-            ends["cars"] = BumpIntoCars(self.bump)
+        """Episodes of so many cars, without a limit of steps, with this world's `end`."""
         parts = {"action": self.action, "observation": self.observation, "reward": self.reward}
-        return Task(simulator, cars, [SENSOR_SEED], end=End(ends), **parts)  # type: ignore[arg-type]
+        return Task(simulator, cars, [SENSOR_SEED], end=self.end, **parts)  # type: ignore[arg-type]

@@ -24,6 +24,7 @@ from carrl.log.messages import Metrics
 from carrl.log.scene import STATE_UNITS, ObservationPart, Scene
 from carrl.log.schema import Column, Schema
 from carrl.sim.simulator import Simulator
+from carrl.sim.traffic import Traffic
 from carrl.sim.vehicle import POSE, Rectangle
 from carrl.train.plan import EvaluationPlan
 
@@ -43,6 +44,9 @@ def describe_run(env: TrackEnv, seed: int, cars: int) -> dict[str, str]:
         "packages": json.dumps({"carrl": carrl.__version__, **_versions()}),
         **scene_of(env).entries(),
     }
+    if isinstance(env.simulator, Traffic):
+        entries["cars_per_world"] = str(env.simulator.cars_per_world)
+        entries["rows_per_world"] = str(env.simulator.rows_per_world)
     commit = git_commit()
     return entries | ({"git_commit": commit} if commit else {})
 
@@ -108,7 +112,21 @@ def log_schema(env: TrackEnv, algorithm: Sequence[Column]) -> Schema:
         Column("time_ns", "time_ns", "int64", (), "simulated time before the action, since the start of the run, ns"),
     )
     collided = Column("collided", ("next", "collided"), "bool", (1,), "touching a wall ended the episode here")
-    return Schema((*task, collided) if env.task.end.has_others else task, tuple(algorithm))
+    ends = (collided,) if env.task.may_end_otherwise else ()
+    return Schema((*task, *ends, *_others(env)), tuple(algorithm))
+
+
+def _others(env: TrackEnv) -> tuple[Column, ...]:
+    """The columns of the opponents' poses; none where there are no opponents."""
+    if not env.task.has_opponents:
+        return ()
+    width = env.observation_spec["other_poses"].shape[-1]
+    entries = tuple(f"{name}_{car}" for car in range(1, width // 3 + 1) for name in POSE)
+    meaning = "of the other cars of the world: x m, y m, heading rad, one car after the other"
+    return (
+        Column("other_poses", "other_poses", "float32", (width,), f"before the action, {meaning}", entries),
+        Column("next_other_poses", ("next", "other_poses"), "float32", (width,), f"after it, {meaning}", entries),
+    )
 
 
 def git_commit() -> str | None:
