@@ -27,6 +27,7 @@ BESIDE = {
         f"reward/{name}": DRIVEN
         for name in ("progress", "gran_turismo", "racing", "lap_time", "torcs", "torcs_centred")
     },
+    **{f"opponents/{name}": ["env.cars_per_world=3"] for name in ("line", "rule")},
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/f1tenth": ["track.name_or_path=oval"],
