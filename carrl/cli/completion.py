@@ -41,7 +41,7 @@ FLAGS = {
     "watch": ("--track", "--live", "--out", "--fps", "--trust"),
     "laps": (*_READING, "--out", "--json"),
     "export": ("--format", "--out", "--seed", "--checkpoint", "--trust"),
-    "drive": ("--track", "--run", "--vehicle", "--fps", "--trust"),
+    "drive": ("--track", "--run", "--vehicle", "--opponents", "--cars", "--fps", "--trust"),
     "report": ("--out", "--json", "--baseline", "--curves", "--best-lap", "--bin-size", "--trust"),
     "track list": ("--json",),
     "track show": ("--out", *_READING),
@@ -72,6 +72,7 @@ VALUES = {
     "--format": FORMATS,
     "--objective": ("first_lap", "drive"),
     "--vehicle": ("bicycle", "kinematic", "paper", "single_track"),
+    "--opponents": ("line", "rule"),
     "--direction": ("clockwise", "counterclockwise"),
 }
 """Of flags, in full, but for files of one's own."""

@@ -13,9 +13,12 @@ from carrl.train.files import load_config
 
 if TYPE_CHECKING:
     from carrl.env.gym_env import GymTrackEnv
+    from carrl.task.task import World
 
 SEEN = 50.0
 """How far a car of another kind than the paper's sees, m: a picture shows a little more."""
+CARS = 4
+"""In a race, unless another number is asked for."""
 BY_HAND = {"_target_": "carrl.task.action.ContinuousActions"}
 """The actions of a person who drives a car with pedals."""
 
@@ -43,6 +46,8 @@ def _parser() -> argparse.ArgumentParser:
     car = parser.add_mutually_exclusive_group()
     car.add_argument("--run", metavar="RUN", help="the folder of a run, whose car, sensor, reward and track to take")
     car.add_argument("--vehicle", metavar="NAME", help="another car than the paper's, such as kinematic")
+    parser.add_argument("--opponents", metavar="NAME", help="others to race against, such as line or rule")
+    parser.add_argument("--cars", type=int, metavar="K", help="cars in the race, you included; default: 4")
     parser.add_argument("--fps", type=float, metavar="F", help="time steps a second; default: real time")
     add_trust(parser)
     return parser
@@ -56,19 +61,34 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any] | None:
     """
     if arguments.fps is not None and not (math.isfinite(arguments.fps) and arguments.fps > 0):
         raise ConfigError(f"--fps is {arguments.fps}; it must be a positive number of time steps a second")
+    if arguments.run is not None and arguments.opponents is not None:
+        raise ConfigError("--opponents has no effect beside --run, which has its own; leave one of them out")
     if arguments.run is None and arguments.trust:
         raise ConfigError("--trust has no effect without --run; add that, or leave it out")
     if arguments.track is not None:
         check_may_exist(arguments.track)
+    if arguments.cars is not None and arguments.opponents is None:
+        raise ConfigError("--cars has no effect without --opponents; add that, or leave it out")
     config = None
     if arguments.run is not None:
         config = load_config(Path(arguments.run), arguments.trust)
-    elif arguments.vehicle is not None:
+    elif arguments.vehicle is not None or arguments.opponents is not None:
         from carrl.train.composition import composed  # brings Hydra
 
-        config = composed([f"vehicle={arguments.vehicle}", f"sensor.max_range={SEEN}"])
+        config = composed(_overrides(arguments))
     check_can_open()
     return config
+
+
+def _overrides(arguments: argparse.Namespace) -> list[str]:
+    """Of the default configuration, for what is asked for."""
+    overrides = []
+    if arguments.vehicle is not None:
+        overrides += [f"vehicle={arguments.vehicle}", f"sensor.max_range={SEEN}"]
+    if arguments.opponents is not None:
+        cars = CARS if arguments.cars is None else arguments.cars
+        overrides += [f"opponents={arguments.opponents}", f"env.cars_per_world={cars}"]
+    return overrides
 
 
 def _make_env(arguments: argparse.Namespace, config: dict[str, Any] | None) -> "GymTrackEnv":
@@ -90,4 +110,15 @@ def _make_env(arguments: argparse.Namespace, config: dict[str, Any] | None) -> "
         action=world.action,
         observation=world.observation,
         reward=world.reward,
+        **_among(world),
     )
+
+
+def _among(world: "World") -> dict[str, Any]:
+    """Where there are opponents, what else the environment is of: a person starts behind all of them."""
+    if world.opponents is None:
+        return {}
+    from carrl.task.episode import Start
+
+    start = Start(gap=world.gap, order="last")
+    return {"cars_per_world": world.cars_per_world, "opponents": world.opponents, "start": start, "end": world.end}

@@ -33,8 +33,12 @@ STYLES = {
     "switches_per_100m": ("switches / 100 m", 1, 1, ""),
     "mean_speed": ("mean speed, m/s", 1, 1, ""),
     "steering_change": ("steering change", 1, 3, ""),
+    "overtakes_per_lap": ("overtakes / lap", 1, 2, ""),
+    "places_won": ("places won", 1, 2, ""),
+    "contacts_own_per_km": ("own contacts / km", 1, 3, ""),
+    "contacts_others_per_km": ("others' contacts / km", 1, 3, ""),
 }
-"""How a car was driven: heading, scale, digits and unit of each figure."""
+"""How a car was driven, and how it fared among others: heading, scale, digits and unit of each figure."""
 
 Figures = Mapping[str, Any]
 
@@ -285,6 +289,6 @@ def _cells(figures: Figures, styles: Sequence[str]) -> list[str]:
 
 def _mean(figures: Figures, name: str, scale: float, digits: int, unit: str) -> str:
     """A mean with half the width of its interval, if it has one."""
-    interval = figures["intervals"][name]
+    interval = figures["intervals"].get(name)
     text = f"{scale * figures[name]:.{digits}f}"
     return f"{text}{unit}" if interval is None else f"{text}±{scale * (interval[1] - interval[0]) / 2:.{digits}f}{unit}"

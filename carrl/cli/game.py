@@ -29,7 +29,8 @@ class Attempt:
         gates: passed.
         laps: completed.
         reward: sum over the steps.
-        collided: whether it ended at a wall.
+        collided: whether it ended at a wall or a car.
+        hit_car: whether that was a car.
     """
 
     steps: int
@@ -37,10 +38,11 @@ class Attempt:
     laps: int
     reward: float
     collided: bool
+    hit_car: bool = False
 
     def __str__(self) -> str:
         """One line for the terminal."""
-        end = "hit a wall" if self.collided else "stopped"
+        end = hit(self.hit_car) if self.collided else "stopped"
         return f"{self.steps} steps, {self.gates} gates, {self.laps} laps, reward {self.reward:,.0f}, {end}"
 
 
@@ -102,12 +104,19 @@ class Game:
         """What stands across the picture."""
         if self._shows_help:
             return ("drive", *self._driver.help, *HELP, "steer, or press the up arrow, to start")
-        if self._env.snapshot().collided:
-            return ("hit a wall", "R\tback to the start", "Esc\tquit")
+        scene = self._env.snapshot()
+        if scene.collided:
+            return (hit(scene.hit_car), "R\tback to the start", "Esc\tquit")
         return ("pause", "P\tgo on", "H\thelp") if self._paused else ()
 
     def _note_attempt(self) -> None:
         scene, gates = self._env.snapshot(), self._env.task.simulator.track.gate_count
         if scene.step:
             laps = scene.gates_passed // gates
-            self._attempts.append(Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided))
+            attempt = Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided, scene.hit_car)
+            self._attempts.append(attempt)
+
+
+def hit(car: bool) -> str:
+    """What ended an attempt, in words."""
+    return "hit a car" if car else "hit a wall"

@@ -9,6 +9,7 @@ from pathlib import Path
 import carrl
 from carrl.log.scene import STATE_UNITS, ObservationPart, Scene
 from carrl.log.schema import Column, Schema
+from carrl.sim.traffic import Traffic
 from carrl.sim.vehicle import POSE, Rectangle
 from carrl.task.task import Task
 from carrl.tracks.track import Track
@@ -34,6 +35,9 @@ def describe_run(task: Task, seed: int, cars: int, tracks: Sequence[Track] = ())
         "packages": json.dumps({"carrl": carrl.__version__, **_versions()}),
         **scene_of(task).entries(),
     }
+    if isinstance(task.simulator, Traffic):
+        entries["cars_per_world"] = str(task.simulator.cars_per_world)
+        entries["rows_per_world"] = str(task.simulator.rows_per_world)
     commit = git_commit()
     return entries | ({"git_commit": commit} if commit else {})
 
@@ -111,7 +115,22 @@ def log_schema(task: Task, algorithm: Sequence[Column]) -> Schema:
         Column("time_ns", "time_ns", "int64", (), "simulated time before the action, since the start of the run, ns"),
     )
     collided = Column("collided", ("next", "collided"), "bool", (1,), "touching a wall ended the episode here")
-    return Schema((*columns, collided) if task.end.has_others else columns, tuple(algorithm))
+    ends = (collided,) if task.may_end_otherwise else ()
+    return Schema((*columns, *ends, *_others(task)), tuple(algorithm))
+
+
+def _others(task: Task) -> tuple[Column, ...]:
+    """The columns of the opponents' poses; none where there are no opponents."""
+    if not task.has_opponents:
+        return ()
+    count = task.simulator.cars_per_world - 1
+    entries = tuple(f"{name}_{car}" for car in range(1, count + 1) for name in POSE)
+    meaning = "of the other cars of the world: x m, y m, heading rad, one car after the other"
+    shape = (len(entries),)
+    return (
+        Column("other_poses", "other_poses", "float32", shape, f"before the action, {meaning}", entries),
+        Column("next_other_poses", ("next", "other_poses"), "float32", shape, f"after it, {meaning}", entries),
+    )
 
 
 def git_commit() -> str | None:

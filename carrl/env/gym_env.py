@@ -156,7 +156,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         self.action_space = action_space(self.task.action)
         self._start = self.task.start() if self.task.starts_alike else None
         self._now: EpisodeStart | None = None
-        self._return, self._collided = 0.0, False
+        self._return, self._collided, self._hit_car = 0.0, False, False
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_STEPS)
         self._picture: FollowPicture | None = None
         self._window: Window | None = None
@@ -190,7 +190,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         if seed is not None:
             self.task.streams.seed(seed)
         self._now = now = self._begin(options or {})
-        self._return, self._collided = 0.0, False
+        self._return, self._collided, self._hit_car = 0.0, False, False
         self._trail.clear()
         if self.render_mode == "human":
             self.render()
@@ -215,6 +215,7 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
         info = self._info(now, terms.tolist()[0])
         reward, collided = float(terms.sum().item()), bool(after.terminated.item())
         self._return, self._collided = self._return + reward, collided
+        self._hit_car = collided and after.outcome.contact is not None and bool(after.outcome.contact.touched)
         if self.render_mode is not None:
             self._trail.append(before.state.cars.pose.numpy()[0, :2])
             if self.render_mode == "human":
@@ -241,6 +242,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             trail=list(self._trail),
             track=int(cars.track),
             speed=self._state_value(cars, "speed"),
+            others=other_poses(self.task, cars),
+            hit_car=self._hit_car,
         )
 
     def render(self) -> np.ndarray | None:
@@ -310,6 +313,13 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
             "track": cars.track.item(),
         }
         return place | dict(zip(self.task.reward.term_names, terms, strict=True))
+
+
+def other_poses(task: Task, cars: CarState) -> Sequence[np.ndarray]:
+    """Of the opponents in the world of one car, [M, 3], float64; none where it is alone."""
+    if not task.has_opponents or cars.others is None:
+        return ()
+    return list(cars.others.state[0, :, :3].double().cpu().numpy())
 
 
 def observation_space(task: Task) -> gymnasium.spaces.Box:

@@ -50,6 +50,7 @@ class TrackEnv(EnvBase):
     | `station` | [N] float32 | way along the centreline from the start line, m; if a term asks where the car is |
     | `stalled` | [N] int64 | steps in a row without progress; if they end an episode |
     | `collided` | [N, 1] bool | touching a wall ended the episode; if something else may end one, too |
+    | `other_poses` | [N, 3 * M] float32 | of the opponents in its world: x m, y m, heading rad; if there are any |
     | `others` | [N] | state, station, gates ... of the opponents in each car's world, [N, M, ...]; if there are any |
 
     An action is a whole number of any integer type, and each car has one. A car whose episode has ended is to be reset,
@@ -283,6 +284,8 @@ class TrackEnv(EnvBase):
         state, cars = now.state, now.state.cars
         carried = {"station": cars.station, "stalled": state.stalled, "collided": self._collided(state)}
         others: dict[str, Tensor] = vars(cars.others) if self.task.has_opponents else {}
+        if self.task.has_opponents and cars.others is not None:
+            carried["other_poses"] = cars.others.state[..., :3].flatten(1)
         found: dict[str | tuple[str, str], Tensor] = {("others", name): value for name, value in others.items()}
         found |= {name: value for name, value in carried.items() if value is not None}
         return found | {
@@ -334,6 +337,7 @@ class TrackEnv(EnvBase):
             reward_terms=numbers(len(task.reward.term_names)),
             **{"pose": numbers(3), **state},
             **({"collided": flag.clone()} if task.may_end_otherwise else {}),
+            **({"other_poses": numbers(3 * (task.simulator.cars_per_world - 1))} if task.has_opponents else {}),
             shape=(cars,),
         ).to(self.device)
         self.state_spec = Composite({key: spec.clone() for key, spec in state.items()}, shape=(cars,)).to(self.device)

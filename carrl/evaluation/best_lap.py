@@ -4,7 +4,7 @@ Shapes: `B` drives that the search carries on side by side.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -46,6 +46,7 @@ def find_best_lap(world: World, bin_size: float = 0.25) -> Rollout:
         ConfigError: `bin_size` is outside its range, or the car does more than steer straight on, left and right.
         TrackError: no lap was found within the time limit of `evaluation.drive`.
     """
+    world = replace(world, opponents=None)
     simulator = world.simulator(world.track)
     steers = _steers(world)
     largest = simulator.vehicle.step_length / math.sqrt(2)

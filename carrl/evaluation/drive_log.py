@@ -13,6 +13,7 @@ from carrl.data.description import attachments, describe_run, log_schema
 from carrl.evaluation.rollout import DrivenStep, Policy
 from carrl.log.messages import Episode, how_ended
 from carrl.log.writer import LogWriter
+from carrl.sim.simulator import CarState
 from carrl.task.task import StepResult, Task
 from carrl.tracks.track import Track
 
@@ -120,6 +121,7 @@ class DriveLog:
             ("next", "gates_passed"): after.state.cars.gates_passed,
             "time_ns": torch.full_like(drive, self._now_ns),
             **(logged(step.observation) if logged else {}),
+            **_other_poses(state.cars, after.state.cars),
         }
 
     def _episode(self, car: int, after: StepResult) -> Episode:
@@ -147,3 +149,13 @@ class DriveLog:
         if self._waiting and self._writer is not None:
             waiting, self._waiting = torch.cat(self._waiting), []
             self._writer.write(waiting)
+
+
+def _other_poses(before: CarState, after: CarState) -> dict[str | tuple[str, ...], Tensor]:
+    """Those of the opponents, [N, 3 M], before and after a step; nothing where there are none."""
+    if before.others is None or after.others is None:
+        return {}
+    return {
+        "other_poses": before.others.state[..., :3].flatten(1),
+        ("next", "other_poses"): after.others.state[..., :3].flatten(1),
+    }

@@ -21,11 +21,11 @@ MEANS = (
     *("mean_speed", "steering_change", "grip_mean", "near_wall_share"),
 )
 """Measures of a drive that are averaged, as far as it has them."""
-TRAJECTORY = ("poses", "ranges", "actions", "speeds")
+TRAJECTORY = ("poses", "ranges", "actions", "speeds", "others")
 DECIMALS = 3
 """Of lap times for machines, s."""
-LEAST_KM = 1e-3
-"""By which a count of collisions is divided at least: a car may stand still."""
+LEAST_KM, LEAST_LAPS = 1e-3, 1e-6
+"""By which counts are divided at least: a car may stand still."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,15 @@ class Rollout:
         mean_speed: m/s; None of a car whose speed never varies, as are the next two.
         distance: driven, m.
         speeds: at each pose, [T + 1], m/s.
+        others: poses of the other cars of the world at each pose, [T + 1, M, 3]; None of a car that is alone.
         grip_mean: of the tyres, the share of the limit of grip used, mu g, over the steps; None where it is not known,
             as is the next one.
         grip_greatest: the greatest of these shares.
+        overtakes: places won from other cars; None of a car that is alone, as are the next four.
+        places_won: the same less the places lost.
+        contacts_own: with other cars, into which it drove with its front.
+        contacts_others: with other cars otherwise.
+        lap_share: how much of a lap the steps are.
         sector_times: of each lap that was begun, see `carrl.evaluation.lap_timing`; a lap with all three counts.
     """
 
@@ -116,8 +122,14 @@ class Rollout:
     mean_speed: float | None = None
     distance: float | None = None
     speeds: np.ndarray | None = field(default=None, repr=False)
+    others: np.ndarray | None = field(default=None, repr=False)
     grip_mean: float | None = None
     grip_greatest: float | None = None
+    overtakes: int | None = None
+    places_won: int | None = None
+    contacts_own: int | None = None
+    contacts_others: int | None = None
+    lap_share: float | None = None
     sector_times: SectorTimes = ()
 
     @property
@@ -130,6 +142,11 @@ class Rollout:
         """Of the lap that is measured, s; None if it does not count, as where the car touched a wall."""
         counts = self.lap_completed and self.sector_times and len(self.sector_times[-1]) == SECTORS
         return self.lap_times[-1] if counts else None
+
+    @property
+    def is_clean_lap(self) -> bool:
+        """Whether the lap is complete without contact with a wall or, where there are others, a car."""
+        return self.lap_completed and not (self.collided or self.contacts_own or self.contacts_others)
 
     @property
     def standing_laps(self) -> int:
@@ -285,6 +302,7 @@ def aggregate(runs: Sequence[Sequence[Rollout]], step_length: float) -> dict[str
     laps, collisions = sum(drive.lap_completed for drive in drives), sum(drive.collided for drive in drives)
     steps = sum(drive.lap_steps for drive in drives if drive.distance is None)
     driven_km = (steps * step_length + math.fsum(drive.distance or 0.0 for drive in drives)) / 1000
+    traffic, traffic_intervals = _among_others(drives, max(driven_km, LEAST_KM))
     means = [name for name in MEANS if getattr(drives[0], name) is not None]
     groups = runs if len(runs) > 1 else [[drive] for drive in drives]
     return {
@@ -295,12 +313,33 @@ def aggregate(runs: Sequence[Sequence[Rollout]], step_length: float) -> dict[str
         "collisions": collisions,
         "driven_km": driven_km,
         "collisions_per_km": collisions / max(driven_km, LEAST_KM),
+        **traffic,
         "intervals": {
             "completion": share_interval(laps, len(drives)),
             "collisions_per_km": rate_interval(collisions, max(driven_km, LEAST_KM)),
+            **traffic_intervals,
             **{name: mean_interval([_mean(group, name) for group in groups]) for name in means},
         },
     }
+
+
+def _among_others(drives: Sequence[Rollout], driven_km: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What happened between the car and others, and intervals of that; nothing of a car that was alone."""
+    if drives[0].overtakes is None:
+        return {}, {}
+    laps = math.fsum(drive.lap_share or 0.0 for drive in drives)
+    contacts = {
+        f"contacts_{fault}": sum(getattr(drive, f"contacts_{fault}") for drive in drives) for fault in ("own", "others")
+    }
+    figures = {
+        "overtakes": sum(drive.overtakes or 0 for drive in drives),
+        "overtakes_per_lap": sum(drive.overtakes or 0 for drive in drives) / max(laps, LEAST_LAPS),
+        "places_won": _mean(drives, "places_won"),
+        "clean_laps": sum(drive.is_clean_lap for drive in drives),
+    }
+    for name, count in contacts.items():
+        figures |= {name: count, f"{name}_per_km": count / driven_km}
+    return figures, {f"{name}_per_km": rate_interval(count, driven_km) for name, count in contacts.items()}
 
 
 def _greatest_grip(drives: Sequence[Rollout]) -> dict[str, float]:

@@ -14,6 +14,7 @@ from torch import Tensor
 from carrl.errors import ConfigError, shown
 from carrl.evaluation.asked import MOST_LAPS, MOST_STARTS
 from carrl.evaluation.lap_timing import LapTiming
+from carrl.evaluation.passing import Passing, PassingCounter
 from carrl.evaluation.results import Rollout
 from carrl.rows import Rows
 from carrl.sim.driven import GRAVITY
@@ -108,7 +109,8 @@ class TrackEvaluator:
 
     def __init__(self, world: World, tracks: Sequence[Track], starts: int, laps: int = 1) -> None:
         self._world, self._starts, self._laps = world, starts, laps
-        together = max(1, CARS_AT_ONCE // max(1, starts))
+        cars = starts * (world.cars_per_world if world.opponents else 1)
+        together = max(1, CARS_AT_ONCE // max(1, cars))
         groups = [tracks[begin : begin + together] for begin in range(0, len(tracks), together)]
         self._simulators = [world.simulator(group) for group in groups]
 
@@ -144,6 +146,7 @@ class _Moment(Rows):
     ended: Tensor
     reward_terms: Tensor
     action: Tensor
+    passing: Passing | None = None
 
 
 def rollout(
@@ -178,10 +181,11 @@ def rollout(
     if not stations.isfinite().all():
         raise ConfigError(f"stations are {shown(stations.tolist())}; they must be finite numbers of metres")
     task = world.evaluation_task(simulator, len(stations))
-    cars = simulator.start(stations, track)
+    cars = world.at_start(simulator, stations, track)
     limits, patience = laps * time_limits(simulator, cars), patience_of(simulator, cars)
     _check_limits(limits, simulator)
     timing = LapTiming(simulator, cars, stations, laps)
+    counter = PassingCounter(simulator, cars) if cars.others else None
     now = task.start_at(cars)
     state, observation = now.state, now.observation
     if recorder is not None:
@@ -195,7 +199,8 @@ def rollout(
         outcome = after.outcome
         near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(outcome.ranges))
         ended = outcome.collided | after.terminated
-        moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action))
+        passing = counter.step(outcome) if counter else None
+        moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action, passing))
         last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
         limits = torch.where(driving & (step - last_gate >= patience), step, limits)
         has_lapped = simulator.has_lapped(outcome.cars, laps)
@@ -211,7 +216,8 @@ def rollout(
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
     nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
-    return _Moment(cars, nothing, nothing, nothing, terms, action)
+    passing = Passing.none(cars) if cars.others else None
+    return _Moment(cars, nothing, nothing, nothing, terms, action, passing)
 
 
 def time_limits(simulator: Simulator, cars: CarState) -> Tensor:
@@ -288,6 +294,7 @@ def _sum_up(
                 **_steering(steer[begin + 1 : end + 1, car], distance, bool(task.action.names)),
                 **motion,
                 **_grip(course.cars[begin + 1 : end + 1, car], simulator),
+                **_passing(course, car, begin, end, progress[car] * laps - (laps - 1 if begin else 0)),
                 sector_times=sector_times[car],
                 poses=NO_POSES,
                 ranges=NO_POSES,
@@ -348,6 +355,13 @@ def _grip(cars: CarState, simulator: Simulator) -> dict[str, Any]:
     return {"grip_mean": share.mean().item(), "grip_greatest": share.max().item()}
 
 
+def _passing(course: _Moment, car: int, begin: int, end: int, lap_share: float) -> dict[str, Any]:
+    """What happened between a car and others in these steps, so much of a lap; nothing of one that is alone."""
+    if course.passing is None:
+        return {}
+    return course.passing.map(lambda values: values[begin + 1 : end + 1, car]).measures(lap_share)
+
+
 def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> Rollout:
     """A drive with what a picture of it shows: of its own course [T + 1], which may go on after it."""
     cars, names = course.cars[: driven.lap_steps + 1], simulator.vehicle.state_names
@@ -357,4 +371,5 @@ def _with_trajectory(driven: Rollout, course: _Moment, simulator: Simulator) -> 
         ranges=simulator.sense(cars).cpu().numpy(),
         actions=course.action[1 : driven.lap_steps + 1].cpu().numpy().copy(),
         speeds=cars.state[:, names.index("speed")].cpu().numpy().copy() if "speed" in names else None,
+        others=cars.others.state[..., :3].cpu().numpy().copy() if cars.others else None,
     )

@@ -23,6 +23,8 @@ _GREATEST = 1e30
 """Of a reading, which should be 1 at most: single precision must hold where its ray ends."""
 POSE = ("x", "y", "heading")
 """What every state begins with: m, m, rad."""
+OTHER_POSES = "other_poses"
+"""The column of the poses of the other cars of a world; `next_` and that of those after the action."""
 LEAST_SPREAD = 0.1
 """Between the greatest and the least speed of a car whose speed varies, m/s."""
 _TRACK_NAME = re.compile(r"track(?:-(\d{1,6}))?\.json")
@@ -115,6 +117,14 @@ class EpisodeTrace:
     def states(self) -> Floats:
         """The whole state of the vehicle before each step and after the last, [T + 1, S]."""
         return np.vstack([self.columns["state"], self.columns["next_state"][-1:]]).astype(np.float64)
+
+    @cached_property
+    def others(self) -> Floats:
+        """Where the M other cars of the world were, as `poses` has it, [T + 1, M, 3]; M is 0 if the log has none."""
+        if OTHER_POSES not in self.columns:
+            return np.zeros((len(self) + 1, 0, 3))
+        seen = [self.columns[OTHER_POSES], self.columns[f"next_{OTHER_POSES}"][-1:]]
+        return np.vstack(seen).astype(np.float64).reshape(len(self) + 1, -1, 3)
 
     @property
     def poses(self) -> Floats:
@@ -229,6 +239,8 @@ def _check_columns(scene: Scene, columns: Columns) -> None:
     for column, names in (("action_value", scene.action_names), ("reward_terms", scene.reward_terms)):
         if column in columns and (named or column != "action_value") and columns[column].shape[1] != len(names):
             raise ValueError(f"column '{column}' is {columns[column].shape[1]} wide for {len(names)} names")
+    if OTHER_POSES in columns:
+        _check_others(columns)
     if columns["state"].shape[1] < len(POSE):
         raise ValueError("its states have no x, y and heading")
     if (np.diff(columns["step"]) <= 0).any():
@@ -250,6 +262,15 @@ def _check_columns(scene: Scene, columns: Columns) -> None:
     gates, passed = len(scene.tracks[columns["track"][0]].gates), columns["next_gates_passed"] - columns["gates_passed"]
     if columns["next_gate"].max() >= gates or passed.min() < 0 or passed.max() > gates:
         raise ValueError(f"episode {episode} passed gates that its track does not have")
+
+
+def _check_others(columns: Columns) -> None:
+    """Raises ValueError where the poses of the other cars are none."""
+    both = [columns.get(name, np.zeros(0)) for name in (OTHER_POSES, f"next_{OTHER_POSES}")]
+    if any(each.ndim != 2 or each.shape != both[0].shape or each.shape[1] % len(POSE) for each in both):
+        raise ValueError(f"its columns '{OTHER_POSES}' and 'next_{OTHER_POSES}' are no poses of the same cars")
+    if not all(each.dtype.kind == "f" and np.isfinite(each).all() for each in both):
+        raise ValueError("another car has a pose that is no finite number")
 
 
 def _undescribed(log: Log, found: str) -> DamagedLogError:

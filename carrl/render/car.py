@@ -54,13 +54,16 @@ def draw_car(
     body_size: tuple[float, float] | None = None,
     steer: float = 0.0,
     collided: bool = False,
+    is_other: bool = False,
 ) -> None:
     """The car at a pose [3], its front wheels turned by -1, to the right, to 1, to the left.
 
-    It is a disc of this radius, or a rectangle of this length and width, m.
+    It is a disc of this radius, or a rectangle of this length and width, m; in a colour of its own where it is another
+    car of the world.
     """
     theme, middle = style.theme, view.places(pose[:2])
-    colour, edge = theme.crash if collided else theme.car, Stroke(theme.tyre, style.outline.width(view))
+    own = theme.other_car if is_other else theme.car
+    colour, edge = theme.crash if collided else own, Stroke(theme.tyre, style.outline.width(view))
     if body_size is not None:
         _draw_rectangle(canvas, view, pose, np.array(body_size) / 2, style, colour, steer)
         return
@@ -72,6 +75,19 @@ def draw_car(
     canvas.disc(middle, radius, None, Stroke(colour, edge.width))
     in_metres = radius / view.scale
     _draw_hull(canvas, view, pose, np.array([in_metres, in_metres]), theme, colour, steer)
+
+
+def draw_others(
+    canvas: Canvas,
+    view: View,
+    poses: Sequence[Floats] | Floats,
+    body_radius: float,
+    style: Style,
+    body_size: tuple[float, float] | None,
+) -> None:
+    """The other cars of the world at their poses [M, 3]."""
+    for pose in poses:
+        draw_car(canvas, view, pose, body_radius, style, body_size=body_size, is_other=True)
 
 
 def _draw_rectangle(

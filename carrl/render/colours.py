@@ -31,6 +31,7 @@ class Theme:
         ink: text and outlines.
         faint: text of less weight.
         car: its body.
+        other_car: that of another car of its world.
         tyre: its outline and its tyres.
         crash: a car that touches a wall.
         ray: from the car to where it sees a wall.
@@ -49,6 +50,7 @@ class Theme:
     ink: str
     faint: str
     car: str
+    other_car: str
     tyre: str
     crash: str
     ray: str
@@ -82,6 +84,7 @@ LIGHT = Theme(
     ink=INK,
     faint=FAINT,
     car=YELLOW,
+    other_car=SKY,
     tyre=INK,
     crash=VERMILLION,
     ray=GREEN,
@@ -101,6 +104,7 @@ DARK = Theme(
     ink="#f4f5f6",
     faint="#a9b3ba",
     car=YELLOW,
+    other_car=PURPLE,
     tyre="#0b0e10",
     crash=VERMILLION,
     ray="#00c794",

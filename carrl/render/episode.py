@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carrl.log.scene import STATE_UNITS, Floats, TrackShape
-from carrl.log.trace import POSE, EpisodeTrace
+from carrl.log.trace import OTHER_POSES, POSE, EpisodeTrace
 from carrl.render.colours import BLUE, DARK, ERROR, GREEN, INFO, ORANGE, PURPLE, WARNING, blend
 from carrl.render.trail import driven_ways, steps_of, trail_colours
 
@@ -24,7 +24,7 @@ DRAWN = frozenset(
     {
         *("action", "exploratory", "observation", "next_observation", "next_state", "reward", "reward_terms"),
         *("terminated", "truncated", "episode", "step", "car", "track", "time_ns"),
-        *("next_gate", "gates_passed", "next_gates_passed"),
+        *("next_gate", "gates_passed", "next_gates_passed", OTHER_POSES, f"next_{OTHER_POSES}"),
     }
 )
 """Columns that viewers show otherwise than as series of their own, or not at all."""

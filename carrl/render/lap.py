@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from carrl.log.trace import LEAST_SPREAD, ray_origins
 from carrl.render.canvas import Canvas, Floats, Stroke, View, text_width
-from carrl.render.car import draw_car, draw_rays, ray_ends
+from carrl.render.car import draw_car, draw_others, draw_rays, ray_ends
 from carrl.render.colours import BLACK, INK, LIGHT, PAPER
 from carrl.render.curves import save_drawing
 from carrl.render.scene import PRINT, draw_cross, draw_line
@@ -52,6 +52,7 @@ def draw_lap(
     speeds: Floats | None = None,
     body_size: tuple[float, float] | None = None,
     sensor_mount: float = 0.0,
+    others: Floats | None = None,
 ) -> None:
     """Writes a picture of one drive, a .png, .pdf or .svg.
 
@@ -70,6 +71,7 @@ def draw_lap(
         speeds: at each pose, m/s, or none; where they do not vary the line has the colours of the actions.
         body_size: length and width of a car that is a rectangle, m.
         sensor_mount: how far ahead of the middle of the car the rays begin, m.
+        others: poses of the other cars of the world at each pose, [T + 1, M, 3].
     """
     track_map = TrackMap(track, title)
     steps = _steps_shown(poses[: len(ranges), :2], track_map.view.scale)
@@ -79,7 +81,8 @@ def draw_lap(
     else:
         colours = LIGHT.action_colours(max(1, len(action_names)))
         actions = actions if action_names else np.zeros(len(actions), dtype=np.int64)
-    lap = _Lap(poses, ranges, sensor_angles, actions, colours, steps, collided, speeds, body_size, sensor_mount)
+    others = np.zeros((len(poses), 0, 3)) if others is None else others
+    lap = _Lap(poses, ranges, sensor_angles, actions, colours, steps, collided, speeds, body_size, sensor_mount, others)
     close_up = track_map.close_up(poses[steps, :2])
 
     def draw_scene(canvas: Canvas, view: View) -> None:
@@ -109,6 +112,7 @@ class _Lap:
     speeds: Floats | None
     body_size: tuple[float, float] | None
     sensor_mount: float
+    others: Floats
 
     def draw(self, canvas: Canvas, view: View, body_radius: float, sensor_range: float) -> None:
         """Draws the rays, the line, the car, and the end."""
@@ -119,6 +123,7 @@ class _Lap:
             draw_rays(canvas, view, origin, ends, [LIGHT.ray] * len(ends), ranges < sensor_range, PRINT)
         self._draw_line(canvas, view)
         for step in self.steps:
+            draw_others(canvas, view, self.others[step], body_radius, PRINT, self.body_size)
             draw_car(canvas, view, self.poses[step], body_radius, PRINT, body_size=self.body_size)
         if len(self.poses):
             self.draw_end(canvas, view.places(self.poses[-1, :2]))
@@ -166,6 +171,7 @@ def _draw_legend(canvas: Canvas, size: tuple[float, float], lap: _Lap, action_na
     """Below the map at the right: what the colours mean, with each action's share of the steps, and the marks."""
     x, y = size[0] - 9, size[1] - 14
     marks = ["car, sensor rays", "collision" if lap.collided else "end"]
+    marks += ["another car"] if lap.others.size else []
     names, colours = _actions_named(lap, action_names, x - _SCALE_BAR - sum(map(_width, marks)))
     for index, name in reversed(list(enumerate([*names, *marks]))):
         x -= text_width(name, _TEXT)
@@ -176,9 +182,11 @@ def _draw_legend(canvas: Canvas, size: tuple[float, float], lap: _Lap, action_na
             canvas.line(ends, Stroke(colours[index], 2.2))
         elif index == len(names):
             canvas.line(ends, Stroke(LIGHT.ray, 0.9))
-            _draw_sample_car(canvas, middle, lap.body_size)
-        else:
+            _draw_sample_car(canvas, middle, lap.body_size, LIGHT.car)
+        elif index == len(names) + 1:
             lap.draw_end(canvas, middle)
+        else:
+            _draw_sample_car(canvas, middle, lap.body_size, LIGHT.other_car)
         x -= _SPACE
     if lap.speeds is not None:
         _draw_speed_bar(canvas, x, y, *speed_span(lap.speeds))
@@ -206,12 +214,12 @@ def _width(name: str) -> float:
     return text_width(name, _TEXT) + _SWATCH + 5 + _SPACE
 
 
-def _draw_sample_car(canvas: Canvas, middle: Floats, body_size: tuple[float, float] | None) -> None:
+def _draw_sample_car(canvas: Canvas, middle: Floats, body_size: tuple[float, float] | None, colour: str) -> None:
     edge = Stroke(INK, PRINT.outline.least)
     if body_size is None:
-        canvas.disc(middle, 2.75, LIGHT.car, edge)
+        canvas.disc(middle, 2.75, colour, edge)
     else:
-        canvas.box(middle[0] - 4, middle[1] - 2, 8, 4, LIGHT.car, edge)
+        canvas.box(middle[0] - 4, middle[1] - 2, 8, 4, colour, edge)
 
 
 def _draw_speed_bar(canvas: Canvas, right: float, y: float, low: float, high: float) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carrl.log.trace import ray_origins
 from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Floats, Picture, PixelCanvas, Stroke, View, fitted, text_width
-from carrl.render.car import draw_car, draw_rays, placed, ray_ends
+from carrl.render.car import draw_car, draw_others, draw_rays, placed, ray_ends
 from carrl.render.colours import DARK, ORANGE, PURPLE, SKY, YELLOW, blend, nearness_colour
 from carrl.render.scene import (
     SCREEN,
@@ -60,6 +60,8 @@ class CarSnapshot:
         trail: where the car was before, oldest first, [T, 2], m.
         track: index of what it drives on.
         speed: m/s; None of a car whose speed never varies.
+        others: poses of the other cars of its world, [M, 3].
+        hit_car: it touched another car, which ended its episode.
     """
 
     pose: Floats
@@ -74,6 +76,8 @@ class CarSnapshot:
     trail: Sequence[Floats] = ()
     track: int = 0
     speed: float | None = None
+    others: Sequence[Floats] = ()
+    hit_car: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,7 @@ class FollowPicture:
         self._draw_trail(view, car)
         self._draw_rays(view, car)
         look = self._car
+        draw_others(self._canvas, view, car.others, look.body_radius, SCREEN, look.body_size)
         draw_car(
             self._canvas,
             view,
@@ -170,7 +175,9 @@ class FollowPicture:
         for place in (ends[0] + 30 * outwards, ends[1] - 30 * outwards):
             self._write_about(place, f"gate {car.next_gate + 1}", DARK.next_gate)
         if car.collided:
-            self._write_about(np.array(view.area.middle) - (0, 26), "hit a wall", DARK.ink)
+            self._write_about(
+                np.array(view.area.middle) - (0, 26), "hit a car" if car.hit_car else "hit a wall", DARK.ink
+            )
 
     def _write_about(self, place: Floats, text: str, colour: str) -> None:
         """A label with its middle at a place, [2], px, if all of it is in the picture and beside the upper panels."""
@@ -194,6 +201,8 @@ class FollowPicture:
         gate = view.places(ground.gates[car.next_gate].mean(axis=0))
         self._canvas.disc(gate, 4, None, Stroke(DARK.next_gate, 2))
         edge = Stroke(DARK.tyre, 1)
+        for other in car.others:
+            self._canvas.disc(view.places(other[:2]), 3.5, DARK.other_car, edge)
         self._canvas.disc(view.places(car.pose[:2]), 4.5, DARK.crash if car.collided else DARK.ink, edge)
 
     def _draw_figures(self, ground: Ground, car: CarSnapshot) -> None:

@@ -15,7 +15,7 @@ from carrl.files import write_whole
 from carrl.log.trace import EpisodeTrace, ray_origins
 from carrl.render import MOST_SEEN
 from carrl.render.canvas import Area, Canvas, Floats, PixelCanvas, Stroke, View, fitted
-from carrl.render.car import draw_car, draw_rays, ray_ends
+from carrl.render.car import draw_car, draw_others, draw_rays, ray_ends
 from carrl.render.colours import FAINT, GREEN, INK, LIGHT, PAPER, VERMILLION, YELLOW
 from carrl.render.encoding import OLD_TRAIL, Encoding, encoded, encoding_for
 from carrl.render.panel import EDGE, HEIGHT, WIDTH, Panel
@@ -88,12 +88,14 @@ class Motion:
         steps: the step that is being made, [F].
         shares: how much of it is done, [F], in [0, 1]; 1 only at the very end.
         poses: x m, y m, heading rad, [F, 3].
+        others: of the other cars of the world, [F, M, 3].
         ranges: of the rays, [F, R], m.
     """
 
     steps: NDArray[np.int64]
     shares: Floats
     poses: Floats
+    others: Floats
     ranges: Floats
 
     def __len__(self) -> int:
@@ -108,7 +110,10 @@ def motion_of(trace: EpisodeTrace, rate: float) -> Motion:
     progress = np.append(np.arange(0, len(trace) - 1e-6, steps_per_frame) + 1e-9, len(trace))
     steps = np.minimum(progress.astype(np.int64), len(trace) - 1)
     shares = progress - steps
-    return Motion(steps, shares, _poses_between(trace, steps, shares), _ranges_between(trace, steps, shares))
+    own = _poses_between(trace, trace.poses, steps, shares)
+    others = [_poses_between(trace, trace.others[:, car], steps, shares) for car in range(trace.others.shape[1])]
+    around = np.stack(others, axis=1) if others else np.zeros((len(steps), 0, 3))
+    return Motion(steps, shares, own, around, _ranges_between(trace, steps, shares))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +136,16 @@ class WorldPicture:
         if not self._follows:
             self._draw_line(canvas, self._whole, step)
 
-    def draw(self, canvas: Canvas, step: int, share: float, pose: Floats, ranges: Floats) -> None:
-        """Draws over both the step being made, of which a share is done.
+    def draw(self, canvas: Canvas, motion: Motion, frame: int) -> None:
+        """Draws over both the step being made, the cars and the rays.
 
         Args:
             canvas: with what `draw_still` and `draw_behind` draw.
-            step: its row.
-            share: that is done.
-            pose: of the car, [3].
-            ranges: what its rays read, [R], m.
+            motion: of the episode.
+            frame: its row.
         """
+        step, share, pose = int(motion.steps[frame]), float(motion.shares[frame]), motion.poses[frame]
+        ranges, others = motion.ranges[frame], motion.others[frame]
         view = self._whole
         if self._follows:
             view = View(AREA, pose[:2], self._follow_scale)
@@ -155,12 +160,13 @@ class WorldPicture:
         colours = [VERMILLION if reach < NEAR else GREEN for reach in reaches]
         ends = ray_ends(pose, ranges, scene.sensor_angles, scene.sensor_mount)
         draw_rays(canvas, view, ray_origins(pose, scene.sensor_mount), ends, colours, reaches < 1, FILM)
+        draw_others(canvas, view, others, scene.body_radius, FILM, scene.body_size)
         draw_car(canvas, view, pose, scene.body_radius, FILM, body_size=scene.body_size)
         if share == 1 and self.trace.ended == "collision":
             draw_cross(canvas, view.places(pose[:2]), 9, VERMILLION)
         if self._follows:
             draw_scale_bar(canvas, view, OVERVIEW.right + 20, AREA.bottom - 18, FILM)
-            self._draw_overview(canvas, step, pose)
+            self._draw_overview(canvas, step, pose, others)
         canvas.box(0, 0, AREA.right, AREA.top, PAPER)
 
     def _draw_track(self, canvas: Canvas, view: View) -> None:
@@ -209,12 +215,14 @@ class WorldPicture:
         colours[: max(0, step + 1 - TRAIL)] = len(palette) - 1
         draw_line(canvas, view, pieces[known], colours[known], palette, FILM.line.width(view))
 
-    def _draw_overview(self, canvas: Canvas, step: int, pose: Floats) -> None:
-        """The whole track in the corner, with the line driven and the car as a dot."""
+    def _draw_overview(self, canvas: Canvas, step: int, pose: Floats, others: Floats) -> None:
+        """The whole track in the corner, with the line driven and the cars as dots."""
         view = View.whole(self._ground.bounds, OVERVIEW.inset(12))
         canvas.box(OVERVIEW.left, OVERVIEW.top, OVERVIEW.width, OVERVIEW.height, PAPER, Stroke(FAINT, 1))
         draw_route(canvas, view, self._ground, Stroke(LIGHT.centreline, 3))
         canvas.line(view.places(self.trace.poses[: step + 1, :2]), Stroke(INK, 1.5))
+        for place in view.places(others[:, :2]):
+            canvas.disc(place, 4, LIGHT.other_car, Stroke(INK, 1))
         canvas.disc(view.places(pose[:2]), 5, YELLOW, Stroke(INK, 1.5))
 
 
@@ -237,7 +245,7 @@ def _pictures(
             panel.draw(figures, step, float(share == 1))
             shown = now
         canvas.copy(behind, WORLD)
-        world.draw(canvas, step, share, motion.poses[frame], motion.ranges[frame])
+        world.draw(canvas, motion, frame)
         canvas.copy(figures, PANEL)
         _draw_title(canvas, trace, title, over=frame == len(motion) - 1)
         yield canvas.pixels
@@ -263,10 +271,13 @@ def _draw_direction(canvas: Canvas, line: Floats) -> None:
     canvas.area([[middle + 8 * forward + 7 * across, middle + 8 * forward - 7 * across, middle + 20 * forward]], INK)
 
 
-def _poses_between(trace: EpisodeTrace, steps: NDArray[np.int64], shares: Floats) -> Floats:
-    """Poses on the arcs of constant curvature from one pose to the next, [F, 3]; the first where a step is missing."""
+def _poses_between(trace: EpisodeTrace, poses: Floats, steps: NDArray[np.int64], shares: Floats) -> Floats:
+    """On the arcs of constant curvature from each of a car's poses [T + 1, 3] to the next, [F, 3].
+
+    The first one where a step is missing.
+    """
     known = np.diff(steps_of(trace)) == 1
-    begin, end = trace.poses[steps], trace.poses[steps + known[steps]]
+    begin, end = poses[steps], poses[steps + known[steps]]
     chord = end[:, :2] - begin[:, :2]
     yaw = (end[:, 2] - begin[:, 2] + np.pi) % (2 * np.pi) - np.pi
     # A part of an arc has a shorter chord, turned back by half of the turn that is still to come.

@@ -5,6 +5,7 @@ state.
 """
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -168,3 +169,26 @@ class GridSampler(StartSampler):
             heading=math.radians(start.heading_jitter) * spread[:, _HEADING] if start.heading_jitter else None,
             speed=speed,
         )
+
+
+def behind_opponents(traffic: Traffic, cars: CarState, stations: Tensor, gap: float, draws: Tensor) -> CarState:
+    """The cars [V], each with the opponents of its world in a row before it.
+
+    Args:
+        traffic: with the opponents, M to a world.
+        cars: at their starts.
+        stations: of these, m, [V].
+        gap: between two cars, at least, in lengths of the car.
+        draws: random numbers of each opponent, [V, M, 3], float64, in 0..1: for its distance, and two of its own.
+    """
+    track, count = cars.track, traffic.cars_per_world
+    need = (gap + 1) * traffic.vehicle.body.outline.length
+    most = (traffic.routes.lengths[track.cpu()] / count - need).clamp(0, need)
+    ahead = stations.cpu()[:, None] + (need + draws[..., 0] * most[:, None]).cumsum(dim=1)
+    shape = tuple(ahead.shape)
+    put = traffic.start(ahead.flatten(), track.repeat_interleave(count - 1))
+    station = (ahead % traffic.routes.lengths[track.cpu(), None]).float().to(traffic.device)
+    found = {name: getattr(put, name).unflatten(0, shape) for name in ("state", "next_gate", "gates_passed")}
+    others = Others(**found, station=station, lane=torch.zeros_like(station))
+    begun = traffic.opponents.begin(traffic, others, draws[..., 1:], track)  # type: ignore[union-attr]
+    return replace(cars, others=begun)

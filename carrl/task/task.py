@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Categorical
@@ -24,9 +25,9 @@ from carrl.sim.traffic import Opponents, Traffic
 from carrl.sim.vehicle import Vehicle, VehicleModel
 from carrl.task.action import ActionMap, check_fits, fitted, steer3
 from carrl.task.checks import instance, whole_number
-from carrl.task.end import End, end_at_contact
+from carrl.task.end import BumpIntoCars, End, EndAtContact, EndTerm, end_at_contact
 from carrl.task.episode import EpisodeState, ObservationContext, Start, StartSampler, StepContext
-from carrl.task.grid import GridSampler
+from carrl.task.grid import GridSampler, behind_opponents
 from carrl.task.observation import Observation, Part, rays_only
 from carrl.task.random_streams import RandomStreams
 from carrl.task.reward import Reward, paper_reward
@@ -363,6 +364,10 @@ class World:
         action: what an agent chooses among.
         observation: what it is told.
         reward: what a step earns.
+        opponents: what drives the other cars of a world; None where a car is alone, or all of them learn.
+        cars_per_world: with the opponents.
+        gap: between two cars at the start, at least, in lengths of the car.
+        bump: as in `Traffic`; None where touching another car ends an episode.
     """
 
     circuits: Circuits
@@ -371,6 +376,10 @@ class World:
     action: ActionMap
     observation: Observation
     reward: Reward
+    opponents: Opponents | None = None
+    cars_per_world: int = 1
+    gap: float = 4.0
+    bump: float | None = None
 
     def __post_init__(self) -> None:
         """Raises ConfigError unless the actions fit the vehicle."""
@@ -386,12 +395,37 @@ class World:
         """Values of an observation."""
         return sum(part.width for part in self.observation.parts(self.sensor, self.action))
 
+    @property
+    def end(self) -> End:
+        """Of an evaluation: touching a wall, or another car unless it is known what that does to a car's speed."""
+        ends: dict[str, EndTerm] = {"contact": EndAtContact()}
+        if self.bump is not None:
+            ends["cars"] = BumpIntoCars(self.bump)
+        return End(ends)
+
     def simulator(self, tracks: Track | Sequence[Track], device: torch.device | str = "cpu") -> Simulator:
-        """The car and its rays on these tracks."""
-        return Simulator(tracks, self.vehicle, self.sensor, device)
+        """The car and its rays on these tracks, among the opponents if there are any."""
+        parts = tracks, self.vehicle, self.sensor, device
+        if self.opponents is None:
+            return Simulator(*parts)
+        return Traffic(*parts, cars_per_world=self.cars_per_world, bump=self.bump, opponents=self.opponents)
+
+    def at_start(self, simulator: Simulator, stations: Tensor, track: Tensor | None) -> CarState:
+        """Cars at these stations, [N], m, on these of the simulator's tracks, behind the opponents if there are any.
+
+        At the same place of the same track the opponents are always the same, whatever is driven beside.
+        """
+        cars = simulator.start(stations, track)
+        if not isinstance(simulator, Traffic):
+            return cars
+        lengths = simulator.routes.lengths[cars.track.cpu()]
+        places = torch.stack([stations.cpu() % lengths, lengths], dim=1)
+        seeds = [[SENSOR_SEED, *map(round, place)] for place in (1000 * places).tolist()]
+        shape = simulator.cars_per_world - 1, 3
+        draws = torch.from_numpy(np.stack([np.random.default_rng(seed).random(shape) for seed in seeds]))
+        return behind_opponents(simulator, cars, stations, self.gap, draws)
 
     def evaluation_task(self, simulator: Simulator, cars: int) -> Task:
-        """Episodes of so many cars, without a limit of steps, that end where a car touches a wall."""
-        return Task(
-            simulator, cars, [SENSOR_SEED], action=self.action, observation=self.observation, reward=self.reward
-        )
+        """Episodes of so many cars, without a limit of steps, with this world's `end`."""
+        parts = {"action": self.action, "observation": self.observation, "reward": self.reward}
+        return Task(simulator, cars, [SENSOR_SEED], end=self.end, **parts)  # type: ignore[arg-type]

@@ -109,11 +109,8 @@ class Overtaking(FiniteTerm):
         leads = _leads(step)
         if leads is None:
             return step.outcome.ranges.new_zeros(len(step.outcome.ranges))
-        before, after = leads
-        quarter = _lengths(step)[:, None] / 4  # a car that is further off is ahead and behind at once
-        passes = (before.abs() < quarter) & (after.abs() < quarter)
-        won, lost = passes & (before > 0) & (after <= 0), passes & (before <= 0) & (after > 0)
-        return self.weight * (won.sum(dim=1) - lost.sum(dim=1)).float()
+        won, lost = places_changed(*leads, _lengths(step))
+        return self.weight * (won - lost).float()
 
 
 @dataclass(frozen=True)
@@ -174,11 +171,34 @@ def _leads(step: StepContext) -> tuple[Tensor, Tensor] | None:
     before, after, length = step.before.cars, step.outcome.cars, _lengths(step)[:, None]
     if before.others is None or after.others is None:
         return None
-    return _lead(before, before.others, length), _lead(after, after.others, length)
+    return lead(before, before.others, length), lead(after, after.others, length)
 
 
-def _lead(cars: CarState, others: Others, length: Tensor) -> Tensor:
-    """Along the road, [N, M], m: behind where it is less than 0, and never more than half a lap."""
+def places_changed(before: Tensor, after: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+    """How many places cars have won and lost in a step, [N] both, by how far others are ahead, [N, M], m.
+
+    Args:
+        before: the step.
+        after: it.
+        length: of the tracks, [N], m.
+    """
+    quarter = length[:, None] / 4  # a car that is further off is ahead and behind at once
+    passes = (before.abs() < quarter) & (after.abs() < quarter)
+    won, lost = passes & (before > 0) & (after <= 0), passes & (before <= 0) & (after > 0)
+    return won.sum(dim=1), lost.sum(dim=1)
+
+
+def lead(cars: CarState, others: Others, length: Tensor) -> Tensor:
+    """By how much others are ahead, [N, M], m: behind where it is less than 0, and never more than half a lap.
+
+    Args:
+        cars: [N].
+        others: of each.
+        length: of the tracks, [N, 1], m.
+
+    Raises:
+        ConfigError: it is not known where on the road the cars are.
+    """
     if cars.station is None:
         raise ConfigError('a term asks who is ahead; its class must say `needs = ("place", "others")`')
     return (others.station - cars.station[:, None] + length / 2) % length - length / 2

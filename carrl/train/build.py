@@ -20,6 +20,7 @@ from carrl.errors import CheckpointError, ConfigError
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import fitted
 from carrl.task.end import End
+from carrl.task.episode import Start
 from carrl.task.observation import Observation
 from carrl.task.random_streams import part_generator, part_seed
 from carrl.task.reward import Reward
@@ -169,8 +170,8 @@ def _build_env(config: Config, world: World, seeds: list[int], device: str, **ch
         observation=world.observation,
         reward=world.reward,
         start=build_node("start", config["start"]),
-        end=End(build_terms("end", config["end"])) if "end" in config else None,  # runs of before had no choice
-        opponents=build_node("opponents", config["opponents"]) if config.get("opponents") else None,
+        end=_build_end(config),
+        opponents=world.opponents,
         device=device,
         seed=[part_seed(seed, "env") for seed in seeds],
     )
@@ -203,6 +204,7 @@ def build_world(config: Config) -> World:
     """Builds the track, car, sensors, observation and reward that a run was, or will be, trained with."""
     track: Track | Circuits = build_node("track", config["track"])
     vehicle: VehicleModel = build_node("vehicle", config["vehicle"])
+    end = _build_end(config)
     return World(
         circuits=track if isinstance(track, Circuits) else Circuits.only(track),
         vehicle=vehicle,
@@ -210,7 +212,16 @@ def build_world(config: Config) -> World:
         action=fitted(build_node("action", config["action"]), vehicle),
         observation=Observation(build_terms("observation", config["observation"])),
         reward=Reward(build_terms("reward", config["reward"])),
+        opponents=build_node("opponents", config["opponents"]) if config.get("opponents") else None,
+        cars_per_world=config["env"].get("cars_per_world", 1),
+        gap=config["start"].get("gap", Start.gap),
+        bump=end.bump if end else None,
     )
+
+
+def _build_end(config: Config) -> End | None:
+    """None in a run from before there was a choice."""
+    return End(build_terms("end", config["end"])) if "end" in config else None
 
 
 def build_network(config: Config, world: World) -> nn.Module:

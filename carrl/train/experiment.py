@@ -323,6 +323,7 @@ def _draw_lap(world: World, run: ReplicateRun) -> None:
             title=f"{track.name}: best greedy drive, {_in_short(best, world)}",
             collided=best.collided,
             speeds=best.speeds,
+            others=best.others,
         )
 
 

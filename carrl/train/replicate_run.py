@@ -30,6 +30,10 @@ EVALUATION_KEYS = (
     "grip_greatest",
     "near_wall_share",
     "progress",
+    "overtakes",
+    "places_won",
+    "contacts_own",
+    "contacts_others",
     "drives",
     "laps_completed",
 )

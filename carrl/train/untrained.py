@@ -10,8 +10,10 @@ from carrl.train.composition import composed
 from carrl.train.overrides import check_is_read, readable_overrides
 from carrl.train.run import Run
 
-READ = ("experiment", "track", "vehicle", "sensor", "reward")
+READ = ("experiment", "track", "vehicle", "sensor", "reward", "opponents")
 """Groups of the configuration that baselines and their figures depend on."""
+READ_KEYS = ("env.cars_per_world", "start.gap")
+"""Keys of further groups, of the opponents."""
 READ_BY_CHANCE = ("action", "seed")
 """Those that the random policy depends on, too."""
 OWN_ACTIONS = {"_target_": "carrl.task.action.ContinuousActions"}
@@ -32,10 +34,11 @@ class Untrained(Run):
     def __init__(self, policy: PolicyName, overrides: Sequence[str] = ()) -> None:
         read = (*READ, *(READ_BY_CHANCE if policy == "random" else ()))
         for override in overrides:
-            if re.split("[.=@]", override.lstrip("+~"))[0] not in read:
+            key = re.split("[=@]", override.lstrip("+~"))[0]
+            if key.split(".")[0] not in read and key not in READ_KEYS:
                 raise ConfigError(
                     f"{override} has no effect on what the {policy} policy does; leave it out, or set one of: "
-                    f"{', '.join(read)}"
+                    f"{', '.join((*read, *READ_KEYS))}"
                 )
         readable = readable_overrides(overrides, is_sweep=None, verb="carrl evaluate", folder_key="RUN")
         config = composed(readable)

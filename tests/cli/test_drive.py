@@ -219,3 +219,17 @@ def test_a_car_with_pedals_is_driven_by_hand_and_its_speed_is_told(play, capsys)
     (line,) = lines(capsys)
     assert line.startswith("attempt 1: 35 steps")
     assert (shown[20] != shown[10]).any()
+
+
+def test_a_person_races_from_behind_and_hears_that_a_car_was_hit(play, capsys):
+    race = ("--opponents", "line", "--cars", "2", "--track", "oval")
+    play({1: down(pygame.K_UP), 200: down(pygame.K_ESCAPE)}, *race)
+    (line,) = lines(capsys)
+    assert line.endswith(("hit a car", "hit a wall"))
+
+
+def test_cars_without_opponents_and_opponents_beside_a_run_are_refused(capsys):
+    assert main(["drive", "--cars", "3"]) == 2
+    assert "--cars has no effect without --opponents" in capsys.readouterr().err
+    assert main(["drive", "--opponents", "line", "--run", "somewhere"]) == 2
+    assert "--opponents has no effect beside --run" in capsys.readouterr().err

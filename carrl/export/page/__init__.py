@@ -164,6 +164,7 @@ def _episode(trace: EpisodeTrace) -> dict[str, Any]:
             "gates": packed(track.gates, "<f4"),  # [G, 2, 2]
             "stepNumbers": packed(steps_of(trace), "<i4"),  # [T + 1]
             "poses": packed(trace.poses, "<f4"),  # [T + 1, 3]
+            "others": packed(trace.others.swapaxes(0, 1), "<f4"),  # [M, T + 1, 3], of the other cars of the world
             "ranges": packed(trace.ranges, "<f4"),  # [T + 1, R]
             "times": packed(trace.times - trace.times[0], "<f4"),  # [T + 1]
             "actions": packed(trace.actions, "|u1"),  # [T]

@@ -63,9 +63,15 @@ function drawRays(context, episode, camera, colours, position) {
   }
 }
 
-// The car's disc or rectangle, to scale unless that is too small to see, with its nose marked.
-function drawCar(context, episode, camera, colours, position) {
-  const [x, y, heading] = poseAt(episode, position);
+// The other cars of the world, and the car on top of them.
+function drawCars(context, episode, camera, colours, position) {
+  for (const poses of episode.otherPoses) drawCar(context, episode, camera, colours, poseAt(episode, position, poses), colours["other-car"], 0);
+  const steering = valuesNamed(episode, "steering")?.(stepAt(position)) ?? 0;
+  drawCar(context, episode, camera, colours, poseAt(episode, position), colours.car, steering);
+}
+
+// A car's disc or rectangle, to scale unless that is too small to see, with its nose marked.
+function drawCar(context, episode, camera, colours, [x, y, heading], fill, steering) {
   const radius = Math.max(episode.bodyRadius * camera.scale, CAR_LEAST);
   context.save();
   context.translate(camera.toX(x), camera.toY(y));
@@ -73,9 +79,9 @@ function drawCar(context, episode, camera, colours, position) {
   context.lineWidth = clamp(0.2 * radius, 1.5, 3);
   context.lineJoin = "round";
   context.strokeStyle = colours.rim;
-  context.fillStyle = colours.car;
+  context.fillStyle = fill;
   if (episode.bodySize) {
-    drawRectangle(context, episode, camera, colours, position);
+    drawRectangle(context, episode, camera, colours, fill, steering);
   } else {
     drawNose(context, radius);
     fillDisc(context, 0, 0, radius);
@@ -85,12 +91,12 @@ function drawCar(context, episode, camera, colours, position) {
 }
 
 // Along the x axis of the context, with a windscreen, and front wheels as they stand where there is room for them.
-function drawRectangle(context, episode, camera, colours, position) {
+function drawRectangle(context, episode, camera, colours, fill, steering) {
   const grown = Math.max(1, (2 * CAR_LEAST) / (episode.bodySize[0] * camera.scale));
   const [length, width] = episode.bodySize.map((size) => size * camera.scale * grown);
   context.lineWidth = clamp(0.06 * width, 1.2, 2.5);
-  if (width >= 10) drawWheels(context, colours, length, width, valuesNamed(episode, "steering")?.(stepAt(position)) ?? 0);
-  context.fillStyle = colours.car;
+  if (width >= 10) drawWheels(context, colours, length, width, steering);
+  context.fillStyle = fill;
   context.beginPath();
   context.rect(-length / 2, -width / 2, length, width);
   context.fill();
@@ -147,5 +153,5 @@ function drawMoment(context, episode, camera, colours, position) {
   drawFlash(context, episode, camera, colours, position);
   drawRays(context, episode, camera, colours, position);
   drawCrash(context, episode, camera, colours, position);
-  drawCar(context, episode, camera, colours, position);
+  drawCars(context, episode, camera, colours, position);
 }

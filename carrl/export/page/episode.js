@@ -12,6 +12,8 @@ async function readEpisode() {
   episode.perAction = episode.series.find(({ entries }) => String(entries) === String(episode.actionNames));
   episode.steps = episode.actions.length;
   episode.rays = episode.sensorAngles.length;
+  const places = 3 * (episode.steps + 1);
+  episode.otherPoses = Array.from({ length: episode.others.length / places }, (_, car) => episode.others.subarray(car * places, (car + 1) * places));
   episode.returns = runningSum(episode.rewards);
   episode.gateCount = episode.gates.length / 4;
   episode.road = roadPath(episode);
@@ -30,13 +32,13 @@ const goesOn = (episode, step) => episode.stepNumbers[step + 1] - episode.stepNu
 // How many steps the log lacks, from the beginning of the episode to the last one.
 const missingSteps = (episode) => episode.stepNumbers[episode.steps] - episode.steps;
 
-// x, y and heading; between two steps the way the car turns is the shorter one.
-function poseAt(episode, position) {
+// x, y and heading of the car, or of another one with these poses; between two steps the way it turns is the shorter one.
+function poseAt(episode, position, poses = episode.poses) {
   const step = stepAt(position);
   const share = position - step;
-  const [x, y, heading] = episode.poses.subarray(3 * step, 3 * step + 3);
+  const [x, y, heading] = poses.subarray(3 * step, 3 * step + 3);
   if (share === 0 || !goesOn(episode, step)) return [x, y, heading];
-  const [nextX, nextY, nextHeading] = episode.poses.subarray(3 * step + 3, 3 * step + 6);
+  const [nextX, nextY, nextHeading] = poses.subarray(3 * step + 3, 3 * step + 6);
   const turn = Math.atan2(Math.sin(nextHeading - heading), Math.cos(nextHeading - heading));
   return [x + share * (nextX - x), y + share * (nextY - y), heading + share * turn];
 }

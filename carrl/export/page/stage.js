@@ -130,13 +130,18 @@ function drawFollowing(stage, position) {
   drawSurroundings(stage, camera, position);
   drawScaleBar(context, camera, colours);
   copyLayer(context, map.road, full);
-  const [x, y] = poseAt(episode, position);
-  context.fillStyle = colours.car;
+  for (const poses of episode.otherPoses) drawDot(stage, poseAt(episode, position, poses), colours["other-car"]);
+  drawDot(stage, poseAt(episode, position), colours.car);
+  strokeFrame(context, map.frame, colours);
+}
+
+// A car on the map.
+function drawDot({ context, colours, map }, [x, y], fill) {
+  context.fillStyle = fill;
   context.strokeStyle = colours.rim;
   context.lineWidth = 1.5;
   fillDisc(context, map.camera.toX(x), map.camera.toY(y), 4.5);
   context.stroke();
-  strokeFrame(context, map.frame, colours);
 }
 
 function drawSurroundings({ episode, colours, context }, camera, position) {

@@ -1,7 +1,7 @@
 // The colours of the style sheet as the canvases need them, light or dark.
 
 const COLOUR_NAMES = [
-  "card", "line", "ink", "faint", "button", "ground", "road", "wall", "gate", "rim", "car",
+  "card", "line", "ink", "faint", "button", "ground", "road", "wall", "gate", "rim", "car", "other-car",
   "action-0", "action-1", "action-2", "action-other", "good", "bad",
   "speed-0", "speed-1", "speed-2", "speed-3", "speed-4",
 ];
