@@ -110,12 +110,12 @@ def _make_env(arguments: argparse.Namespace, config: dict[str, Any] | None) -> "
         action=world.action,
         observation=world.observation,
         reward=world.reward,
-        **_among(world),
+        **among(world),
     )
 
 
-def _among(world: "World") -> dict[str, Any]:
-    """Where there are opponents, what else the environment is of: a person starts behind all of them."""
+def among(world: "World") -> dict[str, Any]:
+    """Where there are opponents, what else an environment is of: its car starts behind them."""
     if world.opponents is None:
         return {}
     from carrl.task.episode import Start

@@ -113,7 +113,9 @@ class Show:
         share = self._number * GOLDEN % 1
         station = share * simulator.track.length
         self._place = f"{share:.0%} of the way" if share else "the start line"
-        self._observation, _ = self._env.reset(options={"station": station})
+        if self._env.task.has_opponents:  # who are at their places, and so is the car, behind them
+            station, self._place = 0.0, "behind the others"
+        self._observation, _ = self._env.reset(options=None if self._env.task.has_opponents else {"station": station})
         cars = simulator.start(torch.tensor([station], dtype=torch.float64))
         self._time_limit, self._patience = int(time_limits(simulator, cars)), int(patience_of(simulator, cars))
         self._number, self._gates, self._last_gate, self._end, self._left = self._number + 1, 0, 0, "", 0

@@ -109,6 +109,7 @@ def _write(run: "Run", track: str | None, checkpoint: str, out: Path) -> None:
 
 
 def _make_env(run: "Run", track: str | None) -> "GymTrackEnv":
+    from carrl.cli.drive import among
     from carrl.env.gym_env import GymTrackEnv
 
     world = run.world
@@ -120,4 +121,5 @@ def _make_env(run: "Run", track: str | None) -> "GymTrackEnv":
         action=world.action,
         observation=world.observation,
         reward=world.reward,
+        **among(world),
     )

@@ -267,6 +267,8 @@ class GymTrackEnv(gymnasium.Env[np.ndarray, np.int64]):
     def _begin(self, options: Mapping[str, Any]) -> EpisodeStart:
         if "station" not in options:
             return self._start or self.task.start()
+        if self.task.has_opponents:
+            raise ConfigError("options has a station, and a car among opponents starts in their row; leave it out")
         simulator = self.task.simulator
         length = simulator.track.length
         station = number("station", options["station"], 0, length, f"a place on the track, from 0 to {length:g} m")

@@ -282,7 +282,7 @@ class TrackEnv(EnvBase):
     def _as_dict(self, now: EpisodeStart | StepResult) -> dict[str | tuple[str, str], Tensor]:
         """The state and the observation by the names of the keys."""
         state, cars = now.state, now.state.cars
-        carried = {"station": cars.station, "stalled": state.stalled, "collided": self._collided(state)}
+        carried = {"station": cars.station, "stalled": state.stalled, "collided": self.task.collided(state)}
         others: dict[str, Tensor] = vars(cars.others) if self.task.has_opponents else {}
         if self.task.has_opponents and cars.others is not None:
             carried["other_poses"] = cars.others.state[..., :3].flatten(1)
@@ -298,13 +298,6 @@ class TrackEnv(EnvBase):
             "step": state.step,
             "last_action": state.last_action,
         }
-
-    def _collided(self, state: EpisodeState) -> Tensor | None:
-        """Where touching a wall ended the episode, [N, 1], bool; None where nothing else ends one."""
-        end, contact = self.task.end, state.contact
-        if not self.task.may_end_otherwise or contact is None:
-            return None
-        return contact[:, None] if end.slide is None else torch.zeros_like(contact[:, None])
 
     def _declare_specs(self) -> None:
         cars, task = self.batch_size[0], self.task

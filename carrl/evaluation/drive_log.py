@@ -100,6 +100,8 @@ class DriveLog:
     def _values(self, step: DrivenStep, ended: Tensor) -> dict[str | tuple[str, ...], Tensor]:
         """What the columns are taken from, of all cars, by the keys of TorchRL."""
         state, after = step.state, step.after
+        assert self._task is not None
+        collided = self._task.collided(after.state)
         drive = self._first_drive + torch.arange(len(ended), device=ended.device)
         logged, state_key = getattr(self._policy, "logged", None), self._schema.by_name["state"].key
         return {
@@ -121,6 +123,7 @@ class DriveLog:
             ("next", "gates_passed"): after.state.cars.gates_passed,
             "time_ns": torch.full_like(drive, self._now_ns),
             **(logged(step.observation) if logged else {}),
+            **({} if collided is None else {("next", "collided"): collided}),
             **_other_poses(state.cars, after.state.cars),
         }
 

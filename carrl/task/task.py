@@ -162,6 +162,12 @@ class Task:
         """Whether something else than a wall may end an episode."""
         return self.end.has_others or (self._traffic is not None and self.end.bump is None)
 
+    def collided(self, state: EpisodeState) -> Tensor | None:
+        """Where touching a wall ended the episode, [N, 1], bool; None where nothing else may end one."""
+        if not self.may_end_otherwise or state.contact is None:
+            return None
+        return state.contact[:, None] if self.end.slide is None else torch.zeros_like(state.contact[:, None])
+
     def trial_cars(self, streams: RandomStreams) -> CarState:
         """Some cars at a start, drawn from streams of their own, to try the task's terms on."""
         if self._traffic is None:

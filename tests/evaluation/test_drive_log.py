@@ -17,6 +17,7 @@ from carrl.log.laps import recorded_laps
 from carrl.log.reader import Log
 from carrl.log.trace import read_trace
 from carrl.log.verification import verify
+from carrl.opponents.line import LineOpponents
 from carrl.train.run import Run
 from tests.export.untrained_runs import write_untrained_run
 from tests.worlds import make_world
@@ -127,3 +128,18 @@ def test_a_log_of_two_seeds_or_over_a_file_is_refused_before_anything_is_driven(
         one.evaluate(log=tmp_path / "drive.csv")
     assert (tmp_path / "train.mcap").read_text() == "precious"
     assert not (tmp_path / "drive.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    "own",
+    [{"bump": 0.9}, {"opponents": LineOpponents(), "cars_per_world": 3}],
+    ids=["several ends", "opponents"],
+)
+def test_logs_of_drives_say_what_ended_them(own, tmp_path):
+    world, track = make_world("oval", **own), Track.load("oval")
+    with DriveLog(tmp_path / "drive.mcap", "seed: 7\n", [track], drives=1, seed=7, entries={}) as log:
+        TrackEvaluator(world, [track], starts=1).evaluate(straight_on, recorder=log)
+    columns = read_columns(tmp_path / "drive.mcap")
+    assert columns["collided"].ravel().tolist() == columns["terminated"].ravel().tolist()
+    assert columns["collided"].ravel()[-1]
+    assert ("other_poses" in columns) == ("opponents" in own)
