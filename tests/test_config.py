@@ -31,7 +31,7 @@ BESIDE = {
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/f1tenth": ["track.name_or_path=oval"],
-    **{f"experiment/{name}": ["track.count=4", "track.validation=2"] for name in ("generalist", "racer")},
+    **{f"experiment/{name}": ["track.count=4", "track.validation=2"] for name in ("generalist", "racer", "traffic")},
 }
 
 

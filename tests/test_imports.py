@@ -8,7 +8,7 @@ import pytest
 ORDER = [
     *("errors", "rows", "files", "cache", "plain_yaml", "targets", "config"),
     *("tracks", "sim", "racing", "task", "log", "render", "env", "algorithms", "data"),
-    *("evaluation", "train", "report", "export", "cli"),
+    *("evaluation", "opponents", "train", "report", "export", "cli"),
     *("registration", "sb3"),
     "__init__",
 ]
