@@ -25,7 +25,7 @@ BESIDE = {
     **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "racer", "torcs")},
     **{
         f"reward/{name}": DRIVEN
-        for name in ("progress", "gran_turismo", "racing", "lap_time", "torcs", "torcs_centred")
+        for name in ("progress", "gran_turismo", "race", "racing", "lap_time", "torcs", "torcs_centred")
     },
     **{f"opponents/{name}": ["env.cars_per_world=3"] for name in ("line", "rule")},
     "data/log": ["data.path=tests/log/version2.mcap"],

@@ -24,7 +24,7 @@ SHORT = {
     "trainer.frames": "32",
     "evaluation.interval": "16",
     "env.num_envs": "8",
-    "env.max_steps": "8",
+    "env.max_steps": "3",
     "compile": "false",
     "replay_buffer.capacity": "512",
     "replay_buffer.batch_size": "8",
