@@ -165,7 +165,7 @@ def test_a_package_that_is_missing_is_named_with_its_remedy(refused, log_path, t
 def test_an_unknown_ending_is_answered_with_those_there_are(refused, log_path, tmp_path, name):
     assert refused("export", log_path, tmp_path / name) == (
         f"'{tmp_path / name}' has no ending that names a format; choose one of: "
-        ".csv, .parquet, .npz, .mp4, .gif, .html, .rrd, .mcap"
+        ".csv, .parquet, .npz, .mp4, .gif, .html, .png, .pdf, .svg, .rrd, .mcap"
     )
 
 
