@@ -1,11 +1,10 @@
 """`carrl drive`: the driving task for a person at the keyboard."""
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carrl.cli.parser import Parser, add_trust
+from carrl.cli.parser import Parser, add_trust, check_fps
 from carrl.errors import ConfigError
 from carrl.render.window import check_can_open
 from carrl.tracks.names import check_may_exist
@@ -59,8 +58,7 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any] | None:
     Raises:
         CarrlError: a flag cannot be done as asked, or nothing here can open a window.
     """
-    if arguments.fps is not None and not (math.isfinite(arguments.fps) and arguments.fps > 0):
-        raise ConfigError(f"--fps is {arguments.fps}; it must be a positive number of time steps a second")
+    check_fps(arguments.fps)
     if arguments.run is not None and arguments.opponents is not None:
         raise ConfigError("--opponents has no effect beside --run, which has its own; leave one of them out")
     if arguments.run is None and arguments.trust:

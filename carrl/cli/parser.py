@@ -1,6 +1,7 @@
 """Flags of the verbs that are not Hydra's, whose mistakes end in one sentence, too."""
 
 import argparse
+import math
 import re
 from pathlib import Path
 from typing import NoReturn
@@ -34,3 +35,9 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
         metavar="MODULE",
         help="build parts of this module of your own, given by its name or file, if the run has any; may be repeated",
     )
+
+
+def check_fps(fps: float | None) -> None:
+    """Raises ConfigError for `--fps`, time steps a second, that is given and no positive number."""
+    if fps is not None and not (math.isfinite(fps) and fps > 0):
+        raise ConfigError(f"--fps is {fps}; it must be a positive number of time steps a second")

@@ -1,13 +1,12 @@
 """`carrl watch`: a trained car drives, in a window, or as a page or a video."""
 
 import argparse
-import math
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carrl.cli.kept_drives import check_file, draw_best
-from carrl.cli.parser import Parser, add_trust
+from carrl.cli.parser import Parser, add_trust, check_fps
 from carrl.errors import ConfigError, printable
 from carrl.evaluation.asked import check_one_drives
 from carrl.files import check_may_appear
@@ -78,8 +77,7 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any]:
     Raises:
         CarrlError: a flag cannot be done as asked, or nothing here can open a window.
     """
-    if arguments.fps is not None and not (math.isfinite(arguments.fps) and arguments.fps > 0):
-        raise ConfigError(f"--fps is {arguments.fps}; it must be a positive number of time steps a second")
+    check_fps(arguments.fps)
     if arguments.fps is not None and arguments.out is not None:
         raise ConfigError("--fps has no effect beside --out; leave one of them out")
     if arguments.out is not None:
