@@ -198,10 +198,19 @@ def _build_term(group: str, name: Any, node: Mapping[str, Any]) -> Any:
     return build_node(f"{group}.{name}", node, targets=TARGETS[group])
 
 
-def _find_target(name: str, node: Mapping[str, Any], own: Sequence[str]) -> Callable[..., Any]:
+def as_mapping(name: str, node: Any) -> Mapping[str, Any]:
+    """The node itself.
+
+    Raises:
+        ConfigError: it is no mapping.
+    """
     if not isinstance(node, Mapping):
         raise ConfigError(f"{name} is {shown(node)}; it must be a mapping of keys to values")
-    path = node.get("_target_", own[0] if len(own) == 1 else None)
+    return node
+
+
+def _find_target(name: str, node: Mapping[str, Any], own: Sequence[str]) -> Callable[..., Any]:
+    path = as_mapping(name, node).get("_target_", own[0] if len(own) == 1 else None)
     if not isinstance(path, str) or "." not in path or (path.startswith("carrl.") and path not in own):
         _refuse(name, path)
     target: Callable[..., Any] = _imported(name, path)

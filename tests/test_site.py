@@ -6,7 +6,11 @@ from pathlib import Path
 import carrl
 
 ROOT = Path(__file__).resolve().parents[1]
-ELSEWHERE = {"train": "carrl.train.run.train", "sb3": "carrl.sb3.make_vec_env"}
+ELSEWHERE = {
+    "train": "carrl.train.run.train",
+    "sb3": "carrl.sb3.make_vec_env",
+    "parallel_env": "carrl.env.parallel_env.parallel_env",
+}
 """Where a public name is described that is a module and more."""
 
 

@@ -27,7 +27,7 @@ from carrl.train.checkpoint import FORMAT_VERSION
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path, load_config
 from carrl.train.plan import checked_seed
 
-_READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed")
+_READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed", "opponents", "end")
 
 
 class RunParser(Parser):
@@ -43,7 +43,12 @@ class RunParser(Parser):
     @cached_property
     def configs(self) -> list[dict[str, Any]]:
         """What evaluations read of several runs' configurations."""
-        overrides = ([], ["track=random", "vehicle=bicycle"], ["experiment=smooth", "track=oval", "sensor.noise=0.1"])
+        overrides = (
+            [],
+            ["track=random", "vehicle=bicycle"],
+            ["experiment=smooth", "track=oval", "sensor.noise=0.1"],
+            ["experiment=traffic", "track=oval"],
+        )
         with initialize_config_dir(str(config_dir()), version_base="1.3"):
             whole = [OmegaConf.to_container(compose("train", each), resolve=True) for each in overrides]
         return [{key: config[key] for key in _READ} for config in whole]  # type: ignore[call-overload, index]

@@ -69,8 +69,8 @@ class EpisodeTrace:
         terminated, truncated = (bool(self.columns[name][-1].any()) for name in ("terminated", "truncated"))
         if not terminated and not truncated:
             return "unfinished"
-        gates = int(self.gates_passed[-1])
-        if not terminated and gates and gates % len(self.track.gates) == 0:
+        before, gates = self.gates_passed[-2:].tolist()
+        if not terminated and gates > before and gates % len(self.track.gates) == 0:
             return "laps complete"
         collided = self.columns.get("collided", self.columns["terminated"])  # there if something else ends episodes
         return how_ended(terminated, bool(collided[-1].any()))

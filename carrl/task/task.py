@@ -388,8 +388,9 @@ class World:
     bump: float | None = None
 
     def __post_init__(self) -> None:
-        """Raises ConfigError unless the actions fit the vehicle."""
+        """Raises ConfigError unless the actions fit the vehicle and the number of cars is one."""
         check_fits(self.action, self.vehicle)
+        whole_number("env.cars_per_world", self.cars_per_world, 1, MOST_CARS_PER_WORLD)
 
     @property
     def track(self) -> Track:

@@ -11,7 +11,7 @@ from torch import nn
 from torchrl.data import TensorDictReplayBuffer
 
 from carrl.algorithms.algorithm import Algorithm, CollectPolicy, Policy, Recipe
-from carrl.config import build_node, build_terms
+from carrl.config import as_mapping, build_node, build_terms
 from carrl.data.collector import Collector, WorkerParts
 from carrl.data.logs import check_logs, fill_from_logs
 from carrl.data.source import Logged, Simulated, Source
@@ -20,7 +20,6 @@ from carrl.errors import CheckpointError, ConfigError
 from carrl.sim.vehicle import VehicleModel
 from carrl.task.action import fitted
 from carrl.task.end import End
-from carrl.task.episode import Start
 from carrl.task.observation import Observation
 from carrl.task.random_streams import part_generator, part_seed
 from carrl.task.reward import Reward
@@ -213,8 +212,8 @@ def build_world(config: Config) -> World:
         observation=Observation(build_terms("observation", config["observation"])),
         reward=Reward(build_terms("reward", config["reward"])),
         opponents=build_node("opponents", config["opponents"]) if config.get("opponents") else None,
-        cars_per_world=config["env"].get("cars_per_world", 1),
-        gap=config["start"].get("gap", Start.gap),
+        cars_per_world=as_mapping("env", config["env"]).get("cars_per_world", 1),
+        gap=build_node("start", config["start"]).gap,
         bump=end.bump if end else None,
     )
 

@@ -9,7 +9,7 @@ from PIL import Image
 from carrl.cli.main import main
 from carrl.racing.reference_line import ReferenceLine
 
-LAP = ["track", "lap-time", "oval", "--spacing", "10"]
+LAP = ["track", "lap-time", "oval", "--spacing", "5"]
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +50,7 @@ def test_quick_is_the_point_mass_and_faster_than_the_car(capsys):
 def test_words_may_stand_in_any_order(capsys):
     times = []
     for words in (["vehicle.friction=0.9", "oval", "--quick"], ["oval", "--quick", "vehicle.friction=0.9"]):
-        assert main(["track", "lap-time", *words, "--spacing", "10", "--json"]) == 0
+        assert main(["track", "lap-time", *words, "--spacing", "5", "--json"]) == 0
         times.append(json.loads(capsys.readouterr().out)["lap_time_s"])
     assert times[0] == times[1]
     assert main(["track", "lap-time", "vehicle.friction=0.9"]) == 2

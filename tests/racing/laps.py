@@ -9,7 +9,7 @@ from carrl.sim.single_track import SingleTrack
 from carrl.tracks.centreline import Centreline
 from carrl.tracks.track import Track
 
-SPACING = 5.0
+SPACING = 2.5
 RADIUS, HALF = 40.0, 5.0
 
 
@@ -22,5 +22,5 @@ def ring(points: int = 200) -> Track:
 
 @cache
 def oval_lap() -> MinimumLap:
-    """That of the default car, on a grid of 5 m."""
+    """That of the default car, on a grid of 2.5 m."""
     return minimum_lap(Track.load("oval"), SingleTrack(), SPACING)

@@ -211,7 +211,7 @@ def test_cars_that_drive_at_random_in_a_crowd_never_overlap(vehicle):
     cars = traffic.start(torch.arange(20) % 5 * 9.0, speed=speed)
     length, width = vehicle.body.outline.length, vehicle.body.outline.width
     touched = 0
-    for _ in range(30):
+    for _ in range(60):
         control = 2 * torch.rand(20, len(vehicle.control_names), generator=generator) - 1
         if speed is not None:
             control[:, 1] = 0.5
