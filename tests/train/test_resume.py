@@ -68,6 +68,9 @@ def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bi
         ["loss=distributional", "target_updater=soft"],
         ["learning_rate=cosine", "learning_rate.updates=100", "gradient_clipping.max_norm=10", "exploration=linear"],
         ["loss=dueling", "reward=shaped"],
+        ["env.cars_per_world=3", "opponents=line", "observation=traffic", "reward=traffic", "trainer.seeds=[3,7]"],
+        ["env.cars_per_world=3", "opponents=rule", "sensor.noise=0.2", "start.anywhere=true"],
+        ["env.cars_per_world=2", "observation=traffic", "reward=traffic"],
     ],
     ids=" ".join,
 )
