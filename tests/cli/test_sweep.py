@@ -117,7 +117,11 @@ def test_a_note_of_another_program_is_passed_over(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("package", "launcher"), [("hydra_joblib_launcher", "joblib"), ("hydra_submitit_launcher", "submitit_local")]
+    ("package", "launcher"),
+    [
+        ("hydra_joblib_launcher", "joblib"),
+        pytest.param("hydra_submitit_launcher", "submitit_local", marks=pytest.mark.exhaustive),
+    ],
 )
 @pytest.mark.slow
 def test_a_launcher_runs_jobs_in_other_processes(package, launcher, tmp_path):

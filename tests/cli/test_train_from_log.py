@@ -168,7 +168,9 @@ def fast_log(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("loss", ["cql", "double_dqn", "dqn"])
+@pytest.mark.parametrize(
+    "loss", ["cql", *(pytest.param(loss, marks=pytest.mark.exhaustive) for loss in ("double_dqn", "dqn"))]
+)
 def test_the_log_of_one_fast_run_teaches_a_lap_without_a_single_simulator_step(loss, fast_log, tmp_path, monkeypatch):
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("the simulator is touched in training")

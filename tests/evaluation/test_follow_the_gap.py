@@ -94,7 +94,7 @@ def test_a_car_that_looks_backwards_alone_is_refused():
 
 @pytest.mark.skipif(not MAPS.is_dir(), reason="needs the optional folder ../shared/tracks/f1tenth")
 @pytest.mark.parametrize(
-    "name", ["aut", *(pytest.param(name, marks=pytest.mark.slow) for name in ("esp", "gbr", "mco"))]
+    "name", ["aut", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("esp", "gbr", "mco"))]
 )
 def test_it_laps_the_surveys_maps_in_the_surveys_time(name):
     """A lap ends with its last gate, at most a metre before it is complete; the survey's end after 99.5 %."""

@@ -23,7 +23,7 @@ OVERRIDES = [
     "compile=false",
     "env.num_envs=8",
     f"trainer.frames={FRAMES}",
-    "trainer.frames_per_update=4",
+    "trainer.frames_per_update=8",
     "trainer.checkpoint_interval=0.2",
     "evaluation.interval=500",
 ]
@@ -141,7 +141,9 @@ def test_a_full_shared_memory_does_not_matter(never_stopped, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moved", [False, True], ids=["deleted", "moved"])
+@pytest.mark.parametrize(
+    "moved", [False, pytest.param(True, marks=pytest.mark.exhaustive)], ids=["deleted", "moved"]
+)
 def test_a_folder_deleted_or_moved_while_training_ends_the_run(moved, never_stopped, tmp_path):
     run = tmp_path / "run"
     process = start(run)
