@@ -18,6 +18,7 @@ class Lane(NamedTuple):
 
     Attributes:
         speeds: that are possible at evenly spaced places of each track, [P], m/s.
+        offsets: from the centreline to the line that is followed at these places, [P], m, left positive.
         first: place of each track, and at the end P, [T + 1], int64.
         time_step: s.
         length, width: of a car, m.
@@ -29,6 +30,7 @@ class Lane(NamedTuple):
     """
 
     speeds: np.ndarray
+    offsets: np.ndarray
     first: np.ndarray
     time_step: float
     length: float
@@ -85,7 +87,7 @@ def follow_lanes(
                 speed = min(speed, np.float64(state[world, number, lane.columns[0]]))
             if moves:
                 speed = _speed(lane, state[world], number, cars[world], possible)
-                here += speed * lane.time_step * _stretch(lane, roads, own, here, side[world, number])
+                here += speed * lane.time_step * _pose(lane, roads, own, here, side[world, number])[3]
                 here -= length * math.floor(here / length)
             x, y, heading, _ = _pose(lane, roads, own, here, side[world, number])
             reached[world, number] = here if np.float32(here) < length else 0.0
@@ -127,26 +129,39 @@ def _speed(lane: Lane, others: np.ndarray, number: int, car: np.ndarray, possibl
 
 @inlined
 def _pose(lane: Lane, roads: Roads, track: int, station: float, side: float) -> tuple[float, float, float, float]:
-    """X, y and heading on a lane, and how far that is beside the centreline, left positive."""
-    first, after_last = roads.first[track], roads.first[track + 1]
+    """X, y and heading on a lane, and by how much the station advances for each metre along it.
+
+    That is less outside of a bend, where the lane is longer than the centreline, and where it goes across the road.
+    """
+    first, after_last, length = roads.first[track], roads.first[track + 1], roads.lengths[track]
     segment = first + np.searchsorted(roads.stations[first:after_last], station, side="right") - 1
-    end = roads.stations[segment + 1] if segment + 1 < after_last else roads.lengths[track]
-    share = (station - roads.stations[segment]) / (end - roads.stations[segment])
+    end = roads.stations[segment + 1] if segment + 1 < after_last else length
+    way = end - roads.stations[segment]
+    share = (station - roads.stations[segment]) / way
     begin_x, begin_y, end_x, end_y = roads.ends[segment]
-    heading = roads.headings[segment, 0] + share * (roads.headings[segment, 1] - roads.headings[segment, 0])
-    wall = 0 if side > 0 else 2
-    room = roads.room[segment, wall] + share * (roads.room[segment, wall + 1] - roads.room[segment, wall])
-    aside = side * max(room - lane.edge, 0.0)
+    turned = roads.headings[segment, 1] - roads.headings[segment, 0]
+    heading = roads.headings[segment, 0] + share * turned
+    left, right = _room(lane, roads, segment, 0, share), _room(lane, roads, segment, 2, share)
+    line, slope = _line(lane, track, station, length)
+    aside = min(max(line + side * (left if side > 0 else right), -right), left)
     x, y = begin_x + share * (end_x - begin_x), begin_y + share * (end_y - begin_y)
-    return x - aside * math.sin(heading), y + aside * math.cos(heading), heading, aside
+    along = max(1 - turned / way * aside, 0.2)
+    course = heading + math.atan2(slope, along)
+    return x - aside * math.sin(heading), y + aside * math.cos(heading), course, 1 / math.hypot(along, slope)
 
 
 @inlined
-def _stretch(lane: Lane, roads: Roads, track: int, station: float, side: float) -> float:
-    """By how much the station advances for each metre along a lane, which is longer outside of a bend."""
-    first, after_last = roads.first[track], roads.first[track + 1]
-    segment = first + np.searchsorted(roads.stations[first:after_last], station, side="right") - 1
-    end = roads.stations[segment + 1] if segment + 1 < after_last else roads.lengths[track]
-    bend = (roads.headings[segment, 1] - roads.headings[segment, 0]) / (end - roads.stations[segment])
-    aside = _pose(lane, roads, track, station, side)[3]
-    return 1 / max(1 - bend * aside, 0.2)
+def _room(lane: Lane, roads: Roads, segment: int, wall: int, share: float) -> float:
+    """How far from the centreline lanes may be on one side, m."""
+    begin, end = roads.room[segment, wall], roads.room[segment, wall + 1]
+    return max(begin + share * (end - begin) - lane.edge, 0.0)
+
+
+@inlined
+def _line(lane: Lane, track: int, station: float, length: float) -> tuple[float, float]:
+    """Offset of the line from the centreline, m, left positive, and by how much it changes in a metre."""
+    first, places = lane.first[track], lane.first[track + 1] - lane.first[track]
+    at = station / length * places
+    place = min(int(at), places - 1)
+    here, after = lane.offsets[first + place], lane.offsets[first + (place + 1) % places]
+    return here + (at - place) * (after - here), (after - here) * places / length
