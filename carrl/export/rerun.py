@@ -167,8 +167,8 @@ class _Episode:
         self._at(f"{path}/body", range(rows), [*discs, *arrows])
         radii = [radius, _points(SMALLEST_CAR)] * cars
         self._always(f"{path}/body", rr.Points2D.from_fields(radii=radii, colors=colours, draw_order=draw_order + 1))
-        style = rr.Arrows2D.from_fields(radii=_points(1.6), colors=colours, draw_order=draw_order)
-        self._always(f"{path}/body", style)
+        noses_style = rr.Arrows2D.from_fields(radii=_points(1.6), colors=colours, draw_order=draw_order)
+        self._always(f"{path}/body", noses_style)
 
     def _send_rays(self) -> None:
         """The rays, with dots where they meet a wall."""
