@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.driven_episode import pedals  # noqa: F401 (a fixture)
-from tests.small_episode import scene, trace, track_shape  # noqa: F401 (fixtures)
+from tests.small_episode import among_others, scene, trace, track_shape  # noqa: F401 (fixtures)
 
 REAL_CIRCUITS = Path(__file__).resolve().parents[2] / "shared" / "tracks" / "real"
 

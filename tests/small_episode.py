@@ -93,6 +93,15 @@ def trace(scene: Scene) -> EpisodeTrace:
     return EpisodeTrace(scene, columns)
 
 
+@pytest.fixture(scope="session")
+def among_others(trace: EpisodeTrace) -> EpisodeTrace:
+    """The same among two other cars: one stands on the left straight, one drives on the upper one, to the left."""
+    standing = np.tile((3.0, 8.0, -np.pi / 2), (len(trace) + 1, 1))
+    driving = np.column_stack([16 - 0.5 * np.arange(len(trace) + 1), np.full((len(trace) + 1, 2), (17.0, np.pi))])
+    poses = np.hstack([standing, driving]).astype(np.float32)
+    return EpisodeTrace(trace.scene, {**trace.columns, "other_poses": poses[:-1], "next_other_poses": poses[1:]})
+
+
 def _drive() -> np.ndarray:
     """Poses from the start line, [T + 1, 3], m, m, rad."""
     poses = [np.array([10.0, 3.0, 0.0])]

@@ -3,10 +3,13 @@
 import os
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
+from packaging.specifiers import SpecifierSet
 
 import carrl
 
@@ -60,3 +63,15 @@ def test_the_public_names_are_all_there():
     assert all(getattr(carrl, name) is not None for name in carrl.__all__)
     with pytest.raises(AttributeError, match="no attribute 'Trak'"):
         carrl.Trak  # noqa: B018
+
+
+def test_the_versions_of_python_that_are_named_are_those_that_ci_runs():
+    if not (ROOT / ".github").is_dir():
+        pytest.skip("an installed CarRL has no CI")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())["jobs"]
+    tested = jobs["tests"]["strategy"]["matrix"]["python"]
+    named = [entry.split(" :: ")[-1] for entry in project["classifiers"] if " :: Python :: 3." in entry]
+    allowed = SpecifierSet(project["requires-python"])
+    assert named == tested == [f"3.{minor}" for minor in range(30) if f"3.{minor}" in allowed]
+    assert "Python {}, {} or {}".format(*tested) in (ROOT / "docs" / "quick-start.md").read_text()

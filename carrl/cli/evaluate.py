@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 HOW_FAR = ("laps", "95 % of laps", "progress", "collisions / km", "95 % of these")
 HOW_WELL = ("lap reward", "steps")
 """After these come the figures of `STYLES` that there are."""
-WIDE = 150
-"""Columns of a terminal in which one table has room for all of that; else there are two."""
 STYLES = {
     "forward_share": ("forward share", 100, 0, "%"),
     "switches_per_100m": ("switches / 100 m", 1, 1, ""),
@@ -245,18 +243,11 @@ def _styles(documents: Sequence[Figures]) -> list[str]:
 
 
 def _print_figures(title: str, first: str, rows: Sequence[Sequence[str]], styles: Sequence[str]) -> None:
-    """Prints one table of all figures or, on a narrow terminal, one of how far and one of how well it drives."""
-    from rich.console import Console
+    """Prints all figures."""
+    from carrl.cli.text.terminal_table import print_table
 
-    from carrl.cli.text.many_runs import print_table
-
-    header, cut = (first, *HOW_FAR, *HOW_WELL, *(STYLES[key][0] for key in styles), "near-wall share"), 1 + len(HOW_FAR)
-    console = Console()
-    if not console.is_terminal or console.width >= WIDE:
-        print_table(title, header, rows)
-    else:
-        print_table(title, header[:cut], [row[:cut] for row in rows])
-        print_table("how well", (first, *header[cut:]), [[row[0], *row[cut:]] for row in rows])
+    header = (first, *HOW_FAR, *HOW_WELL, *(STYLES[key][0] for key in styles), "near-wall share")
+    print_table(title, header, rows)
     if any("±" in cell for row in rows for cell in row):
         print("± is half of a 95 % interval")
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from carrl.cli.driver import driver_of
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
+from carrl.render.live import hit
 
 if TYPE_CHECKING:
     import pygame
@@ -115,8 +116,3 @@ class Game:
             laps = scene.gates_passed // gates
             attempt = Attempt(scene.step, scene.gates_passed, laps, scene.episode_return, scene.collided, scene.hit_car)
             self._attempts.append(attempt)
-
-
-def hit(car: bool) -> str:
-    """What ended an attempt, in words."""
-    return "hit a car" if car else "hit a wall"

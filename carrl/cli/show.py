@@ -9,6 +9,7 @@ import torch
 from carrl.cli.game import SIZE
 from carrl.env.gym_env import GymTrackEnv, make_follow_picture
 from carrl.evaluation.rollout import patience_of, time_limits
+from carrl.render.live import hit
 from carrl.render.window import Window
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ class Show:
         if scene.gates_passed > self._gates:
             self._gates, self._last_gate = scene.gates_passed, scene.step
         if scene.collided:
-            self._finish("hit a wall")
+            self._finish(hit(scene.hit_car))
         elif scene.gates_passed >= gates:
             self._finish("lap complete")
         elif scene.step >= self._time_limit or scene.step - self._last_gate >= self._patience:

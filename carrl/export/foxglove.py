@@ -2,7 +2,7 @@
 
 A message's time is simulated time since the start of the run, as in the run's own log. What a step of that log holds
 has the time at which the step begins; poses and rays are also there after the last step. The track and the driven line
-come once, at the beginning. Shapes: `T` steps, `R` rays, `N` lines.
+come once, at the beginning. Shapes: `T` steps, `M` other cars, `R` rays, `N` lines.
 """
 
 import math
@@ -34,8 +34,8 @@ except ImportError as error:
         "logs for viewers need foxglove-sdk, which is not installed; pip install 'carrl[export]'"
     ) from error
 
-WORLD_FRAME, CAR_FRAME = "world", "car"
-"""The frames: metres with y to the left of x; and the car's, x ahead."""
+WORLD_FRAME, CAR_FRAME, OTHER_FRAME = "world", "car", "other_car_"
+"""The frames: metres with y to the left of x; and the cars', x ahead. The other cars are counted from 1."""
 MOST_NS = 2**32 * 10**9
 """Before which a time of Foxglove's lies, whose seconds have 32 bits."""
 PACKAGE = "carrl"
@@ -172,14 +172,20 @@ def _drawings(scene: EpisodeScene) -> Iterator[_Message]:
     poses = [_pose(*pose) for pose in trace.poses.tolist()]
     driven = fg.PosesInFrame(timestamp=_stamp(times[0]), frame_id=WORLD_FRAME, poses=poses)
     yield _Message.of(times[0], "/drive/poses", driven)
-    yield _Message.of(times[0], "/car", _car(times[0], trace.scene))
+    yield _Message.of(times[0], "/car", _cars(times[0], trace.scene, [CAR_FRAME], DARK.car))
+    others = [f"{OTHER_FRAME}{car}" for car in range(1, trace.others.shape[1] + 1)]
+    if others:
+        yield _Message.of(times[0], "/other_cars", _cars(times[0], trace.scene, others, DARK.other_car))
+    for time_ns, places in zip(times, trace.others.tolist(), strict=True):
+        for frame, place in zip(others, places, strict=True):
+            yield _Message.of(time_ns, "/tf", _transform(time_ns, frame, *place))
     angles = trace.scene.sensor_angles
     ahead = trace.ranges[:, :, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     scans = np.where(scene.hits, trace.ranges, np.inf)  # as is the custom, of a ray that meets nothing
     mount = np.array([trace.scene.sensor_mount, 0.0])
     rays = np.stack([np.broadcast_to(mount, ahead.shape), mount + ahead], axis=2)
     for time_ns, place, scan, ray in zip(times, trace.poses.tolist(), scans.tolist(), rays, strict=True):
-        yield _Message.of(time_ns, "/tf", _transform(time_ns, *place))
+        yield _Message.of(time_ns, "/tf", _transform(time_ns, CAR_FRAME, *place))
         in_world = fg.PoseInFrame(timestamp=_stamp(time_ns), frame_id=WORLD_FRAME, pose=_pose(*place))
         yield _Message.of(time_ns, "/car/pose", in_world)
         if not scan:
@@ -188,9 +194,9 @@ def _drawings(scene: EpisodeScene) -> Iterator[_Message]:
         yield _Message.of(time_ns, "/car/rays", _entity(time_ns, CAR_FRAME, "rays", [_lines(ray, [DARK.ray], 1.5)]))
 
 
-def _car(time_ns: int, scene: Scene) -> fg.SceneUpdate:
-    """A flat disc or box with an arrow ahead, which go with the car's frame."""
-    radius, colour = scene.body_radius, _colour(DARK.car)
+def _cars(time_ns: int, scene: Scene, frames: Sequence[str], name: str) -> fg.SceneUpdate:
+    """For each of these frames a flat disc or box with an arrow ahead, in the colour of this name, which go with it."""
+    radius, colour = scene.body_radius, _colour(name)
     length, width = scene.body_size or (2 * radius, 2 * radius)
     size = fg.Vector3(x=length, y=width, z=radius / 2)
     disc = fg.CylinderPrimitive(pose=_pose(), size=size, bottom_scale=1.0, top_scale=1.0, color=colour)
@@ -204,18 +210,20 @@ def _car(time_ns: int, scene: Scene) -> fg.SceneUpdate:
         head_diameter=radius,
         color=colour,
     )
-    entity = fg.SceneEntity(
-        timestamp=_stamp(time_ns), frame_id=CAR_FRAME, id="car", frame_locked=True, arrows=[arrow], **bodies
-    )
-    return fg.SceneUpdate(entities=[entity])
+    stamp = _stamp(time_ns)
+    entities = [
+        fg.SceneEntity(timestamp=stamp, frame_id=frame, id=frame, frame_locked=True, arrows=[arrow], **bodies)
+        for frame in frames
+    ]
+    return fg.SceneUpdate(entities=entities)
 
 
-def _transform(time_ns: int, x: float, y: float, heading: float) -> fg.FrameTransform:
-    """Where the car's frame is in the world."""
+def _transform(time_ns: int, frame: str, x: float, y: float, heading: float) -> fg.FrameTransform:
+    """Where a car's frame is in the world."""
     return fg.FrameTransform(
         timestamp=_stamp(time_ns),
         parent_frame_id=WORLD_FRAME,
-        child_frame_id=CAR_FRAME,
+        child_frame_id=frame,
         translation=fg.Vector3(x=x, y=y),
         rotation=_rotation(heading),
     )

@@ -2,7 +2,7 @@
 
 What a step of the log holds is at the step's number on the timeline `step`; poses and rays are at the step that begins
 there, and those after the last step at the number after it. The timeline `time` is simulated time since the episode
-began. Shapes: `T` steps, `R` rays, `N` lines.
+began. Shapes: `T` steps, `M` cars, `R` rays, `N` lines.
 """
 
 import importlib.util
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from carrl.errors import CarrlError
 from carrl.files import write_whole
+from carrl.log.scene import Floats
 from carrl.log.trace import EpisodeTrace
 from carrl.render import MOST_SEEN
 from carrl.render.car import placed
@@ -107,7 +108,9 @@ class _Episode:
             self._send_lines(lines)
         self._send_frames()
         self._send_trail()
-        self._send_car()
+        self._send_cars("car", self._trace.poses[:, None], DARK.car, draw_order=30)
+        if self._trace.others.size:
+            self._send_cars("other_cars", self._trace.others, DARK.other_car, draw_order=25)
         self._send_rays()
         for states in self._scene.states:
             self._send_states(states)
@@ -146,22 +149,26 @@ class _Episode:
         self._at("car/trail", rows + 1, rr.LineStrips2D.columns(strips=ways.astype(np.float32), colors=shades))
         self._always("car/trail", rr.LineStrips2D.from_fields(radii=_points(1.6), draw_order=21))
 
-    def _send_car(self) -> None:
-        """The car's disc or rectangle, with a dot in it that never gets too small to see, and its heading."""
-        scene, poses, colours = self._trace.scene, self._trace.poses, [rgb(DARK.car)]
-        rows, middles, radius = range(len(poses)), poses[:, :2], scene.body_radius
+    def _send_cars(self, path: str, poses: Floats, colour: str, draw_order: float) -> None:
+        """Cars at poses [T + 1, M, 3]: discs or rectangles, a dot that never gets too small to see, and headings."""
+        scene, (rows, cars), colours = self._trace.scene, poses.shape[:2], [rgb(colour)]
+        middles, headings, radius = poses[..., :2].reshape(-1, 2), poses[..., 2].ravel(), scene.body_radius
         if scene.body_size is not None:
             corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * np.array(scene.body_size) / 2
-            outlines = np.stack([placed(corners, pose) for pose in poses])
-            self._at("car/outline", rows, rr.LineStrips2D.columns(strips=outlines.astype(np.float32)))
-            self._always("car/outline", rr.LineStrips2D.from_fields(radii=_points(1.5), colors=colours, draw_order=32))
+            outlines = np.stack([placed(corners, pose) for pose in poses.reshape(-1, 3)]).astype(np.float32)
+            strips = rr.LineStrips2D.columns(strips=outlines).partition([cars] * rows)
+            self._at(f"{path}/outline", range(rows), strips)
+            style = rr.LineStrips2D.from_fields(radii=_points(1.5), colors=colours, draw_order=draw_order + 2)
+            self._always(f"{path}/outline", style)
             radius = 0.25 * scene.body_size[1]
-        noses = 4 * radius * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
-        discs = rr.Points2D.columns(positions=np.repeat(middles, 2, axis=0)).partition([2] * len(rows))
-        self._at("car/body", rows, [*discs, *rr.Arrows2D.columns(origins=middles, vectors=noses)])
-        radii = [radius, _points(SMALLEST_CAR)]
-        self._always("car/body", rr.Points2D.from_fields(radii=radii, colors=colours, draw_order=31))
-        self._always("car/body", rr.Arrows2D.from_fields(radii=_points(1.6), colors=colours, draw_order=30))
+        noses = 4 * radius * np.stack([np.cos(headings), np.sin(headings)], axis=1)
+        discs = rr.Points2D.columns(positions=np.repeat(middles, 2, axis=0)).partition([2 * cars] * rows)
+        arrows = rr.Arrows2D.columns(origins=middles, vectors=noses).partition([cars] * rows)
+        self._at(f"{path}/body", range(rows), [*discs, *arrows])
+        radii = [radius, _points(SMALLEST_CAR)] * cars
+        self._always(f"{path}/body", rr.Points2D.from_fields(radii=radii, colors=colours, draw_order=draw_order + 1))
+        noses_style = rr.Arrows2D.from_fields(radii=_points(1.6), colors=colours, draw_order=draw_order)
+        self._always(f"{path}/body", noses_style)
 
     def _send_rays(self) -> None:
         """The rays, with dots where they meet a wall."""
@@ -244,7 +251,7 @@ def _spatial_view(frame: str, name: str, bounds: rrb.VisualBounds2D) -> rrb.Spat
     ranges = [rr.VisibleTimeRange(timeline, start=first, end=now) for timeline in ("step", "time")]
     return rrb.Spatial2DView(
         origin=frame,
-        contents=["/track/**", "/car/**"],
+        contents=["/track/**", "/car/**", "/other_cars/**"],
         name=name,
         background=list(rgb(DARK.ground)),
         visual_bounds=bounds,

@@ -175,9 +175,7 @@ class FollowPicture:
         for place in (ends[0] + 30 * outwards, ends[1] - 30 * outwards):
             self._write_about(place, f"gate {car.next_gate + 1}", DARK.next_gate)
         if car.collided:
-            self._write_about(
-                np.array(view.area.middle) - (0, 26), "hit a car" if car.hit_car else "hit a wall", DARK.ink
-            )
+            self._write_about(np.array(view.area.middle) - (0, 26), hit(car.hit_car), DARK.ink)
 
     def _write_about(self, place: Floats, text: str, colour: str) -> None:
         """A label with its middle at a place, [2], px, if all of it is in the picture and beside the upper panels."""
@@ -327,3 +325,8 @@ def _map_panel(ground: Ground) -> PixelCanvas:
 def _map_area(panel: Area) -> Area:
     """Where on its panel the map is, above the track's name."""
     return Area(panel.left + 8, panel.top + 8, panel.width - 16, panel.height - 32)
+
+
+def hit(car: bool) -> str:
+    """What ended a drive, in words."""
+    return "hit a car" if car else "hit a wall"

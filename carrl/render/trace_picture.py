@@ -33,4 +33,5 @@ def write_picture(path: str | Path, trace: EpisodeTrace, title: str) -> None:
         title=title,
         collided=trace.ended == "collision",
         speeds=trace.speeds,
+        others=trace.others,
     )

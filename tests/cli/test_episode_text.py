@@ -52,6 +52,19 @@ def test_laps_are_counted_from_the_gates(trace):
     assert "9 gates, 2 laps" in printed(repeated(trace, 9), width=120)
 
 
+def test_other_cars_stand_on_the_map_where_they_were_at_the_end(trace, among_others):
+    text, alone = printed(among_others), printed(trace)
+    assert "o another car at the end" in text
+    assert "another car" not in alone
+    begin, end = text.index("\n\n") + 2, text.index("S start")
+    drawing = text[begin:end].splitlines()
+    places = [(row, line.index("o")) for row, line in enumerate(drawing) if "o" in line]
+    walls = [(row, column) for row, line in enumerate(drawing) for column, sign in enumerate(line) if sign == "·"]
+    (top, left), (bottom, right) = np.min(walls, axis=0), np.max(walls, axis=0)
+    found = [((column - left) / (right - left), (bottom - row) / (bottom - top)) for row, column in places]
+    np.testing.assert_allclose(found, among_others.others[-1, ::-1, :2] / 20, atol=0.06)
+
+
 def test_every_step_of_a_short_episode_has_its_row(trace):
     rows = table_of(printed(trace))
     assert list(rows) == list(range(14))

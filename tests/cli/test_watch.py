@@ -2,11 +2,13 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from carrl.cli.main import main
+from carrl.env.gym_env import GymTrackEnv
 from carrl.log import read_episodes
 from carrl.log.reader import Log
 from carrl.train.checkpoint import load_checkpoint, save_checkpoint
@@ -64,6 +66,13 @@ def test_after_a_crash_the_next_lap_begins_by_itself(watch, run, capsys):
     ends = [line.split(": ")[1].split(" after")[0] for line in lines(capsys)]
     assert len(ends) >= 2
     assert ends[0] == "hit a wall"
+
+
+def test_a_car_that_was_hit_is_called_no_wall(watch, run, capsys, monkeypatch):
+    seen = GymTrackEnv.snapshot
+    monkeypatch.setattr(GymTrackEnv, "snapshot", lambda env: replace(seen(env), collided=True, hit_car=True))
+    watch({5: [pygame.K_q]}, run)
+    assert lines(capsys)[0].startswith("lap 1 from the start line: hit a car after 1 steps")
 
 
 def test_pause_and_help_stop_the_car(watch, run):

@@ -615,6 +615,13 @@ def test_a_long_circuit_gets_a_close_up_of_the_car(open_page, trace):
     assert coloured(picture(page), GREEN).sum() > 150  # the rays, which on the whole track are 8 pixels long
 
 
+def test_the_close_up_is_larger_than_the_whole_track_however_far_the_sensor_sees(open_page, trace):
+    far = {name: getattr(trace.track, name) * 40 for name in ("walls", "gates", "centreline")}
+    scene = replace(trace.scene, tracks=(replace(trace.track, **far),), sensor_range=1000.0, body_radius=8.0)
+    page = open_page(replace(trace, scene=scene))
+    assert coloured(picture(page), CAR).sum() > 500  # a disc of 18 pixels, which on the whole track has 6
+
+
 # A car with pedals
 
 

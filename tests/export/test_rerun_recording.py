@@ -3,6 +3,7 @@
 import importlib
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -96,6 +97,28 @@ def test_the_way_of_a_step_appears_once_it_is_driven_in_the_colour_of_its_action
     ways = np.array(trail["LineStrips2D:strips"])[:, 0]
     np.testing.assert_allclose(ways, np.stack([trace.poses[:-1, :2], trace.poses[1:, :2]], axis=1), rtol=1e-6)
     assert [row[0] for row in trail["LineStrips2D:colors"]] == [packed(ACTIONS[action]) for action in trace.actions]
+
+
+def test_other_cars_are_where_the_log_has_them(among_others, recording, tmp_path):
+    write_recording(tmp_path / "others.rrd", among_others, "others")
+    others = Recording(tmp_path / "others.rrd")
+    body = others.rows["/other_cars/body"]
+    assert others.steps["/other_cars/body"] == list(range(15))
+    np.testing.assert_allclose(np.array(body["Points2D:positions"])[:, ::2], among_others.others[..., :2], rtol=1e-6)
+    vectors = np.array(body["Arrows2D:vectors"])
+    headings = np.arctan2(vectors[..., 1], vectors[..., 0])
+    np.testing.assert_allclose(np.cos(headings - among_others.others[..., 2]), 1, rtol=1e-6)
+    assert body["Points2D:colors"][0] == [packed(rgb(DARK.other_car))]
+    assert "/other_cars/body" not in recording.rows
+
+
+def test_other_cars_that_are_rectangles_have_outlines(among_others, tmp_path):
+    shaped = EpisodeTrace(replace(among_others.scene, body_size=(4.0, 1.8)), among_others.columns)
+    write_recording(tmp_path / "others.rrd", shaped, "others")
+    outlines = np.array(Recording(tmp_path / "others.rrd").rows["/other_cars/outline"]["LineStrips2D:strips"])
+    np.testing.assert_allclose(outlines[:, :, :4].mean(axis=2), among_others.others[..., :2], rtol=1e-5)
+    sides = np.linalg.norm(np.diff(outlines, axis=2), axis=3)
+    np.testing.assert_allclose(sides, np.tile([1.8, 4.0], (15, 2, 2))[..., ::-1], rtol=1e-5)
 
 
 def test_a_car_with_pedals_has_its_numbers_as_series_by_name_and_its_outline(pedals, tmp_path):

@@ -195,6 +195,23 @@ def test_names_that_protobuf_does_not_allow_are_replaced_by_others(trace, tmp_pa
     np.testing.assert_allclose(found, trace.columns["action_value"])
 
 
+def test_other_cars_are_drawn_once_and_go_with_frames_of_their_own(among_others, tmp_path):
+    write_viewer_log(tmp_path / "others.mcap", among_others, "others")
+    log = ViewerLog(tmp_path / "others.mcap")
+    (scene,) = log.messages["/other_cars"]
+    frames = [entity.frame_id for entity in scene.entities]
+    assert (frames, len({entity.id for entity in scene.entities})) == (["other_car_1", "other_car_2"], 2)
+    assert [shade(entity.cylinders[0].color) for entity in scene.entities] == [rgb(DARK.other_car)] * 2
+    for car, frame in enumerate(frames):
+        moves = [message for message in log.messages["/tf"] if message.child_frame_id == frame]
+        assert {message.parent_frame_id for message in moves} == {"world"}
+        found = [(move.translation.x, move.translation.y, move.rotation.z) for move in moves]
+        x, y, heading = among_others.others[:, car].T
+        np.testing.assert_allclose(found, np.column_stack([x, y, np.sin(heading / 2)]), rtol=1e-6)
+    own = [message for message in log.messages["/tf"] if message.child_frame_id == "car"]
+    np.testing.assert_allclose([move.translation.x for move in own], among_others.poses[:, 0], rtol=1e-6)
+
+
 def test_without_foxglove_one_is_told_what_to_install(monkeypatch):
     monkeypatch.delitem(sys.modules, "carrl.export.foxglove")
     monkeypatch.setitem(sys.modules, "foxglove", None)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import carrl.log
 from carrl.cli.main import main
@@ -12,7 +13,8 @@ from carrl.export.page import replay_page
 from carrl.log.reader import Log
 from carrl.log.trace import _check_columns, read_trace
 from carrl.opponents.line import LineOpponents
-from carrl.render.colours import DARK, rgb
+from carrl.render.colours import DARK, LIGHT, rgb
+from carrl.render.trace_picture import write_picture
 from carrl.render.video import motion_of
 from carrl.task.episode import Start
 from carrl.train.run import train
@@ -95,6 +97,17 @@ def test_a_video_moves_the_others_between_steps_as_it_moves_the_car(trace):
 def test_the_page_has_them_car_by_car(trace):
     alone = replace(trace, columns={key: each for key, each in trace.columns.items() if "other_poses" not in key})
     assert len(replay_page(trace, "title")) > len(replay_page(alone, "title"))
+
+
+def test_the_picture_of_a_log_shows_them_in_another_colour(trace, tmp_path):
+    alone = replace(trace, columns={key: each for key, each in trace.columns.items() if "other_poses" not in key})
+
+    def pixels(episode):
+        write_picture(tmp_path / "drive.png", episode, "a drive")
+        with Image.open(tmp_path / "drive.png") as image:
+            return int((np.asarray(image.convert("RGB")) == rgb(LIGHT.other_car)).all(axis=-1).sum())
+
+    assert pixels(trace) > 0 == pixels(alone)
 
 
 def test_the_picture_of_an_environment_shows_the_others_in_another_colour():

@@ -18,8 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from carrl.cli.process import INTERRUPTED, heeded, let_go_of_closed_terminal
-from carrl.cli.text.many_runs import print_table
 from carrl.cli.text.next_steps import print_next
+from carrl.cli.text.terminal_table import print_table
 from carrl.errors import printable
 from carrl.evaluation.results import styles_of
 from carrl.report.runs import missing_lap

@@ -29,7 +29,7 @@ GAP = 3
 """Between map and charts, characters."""
 MOST_LAPS = 3
 """Whose times are told."""
-START = Ink("S", DARK.car)
+START, OTHER = Ink("S", DARK.car), Ink("o", DARK.other_car)
 END_NAMES = {
     "collision": "collision",
     "time limit": "time limit",
@@ -111,7 +111,10 @@ def _pictures(trace: EpisodeTrace, console: Console) -> RenderableType:
 
 
 def _map(trace: EpisodeTrace, coloured: bool, width: int, rows: int) -> Group:
-    """The line driven, where the log tells it, in inks of the speed or of the actions, between the walls."""
+    """The line driven, where the log tells it, in inks of the speed or of the actions, between the walls.
+
+    Of the other cars of the world it has the places where they were at the end.
+    """
     inks, legend = _trail_inks(trace, coloured)
     walls = Ink("braille", DARK.gate) if coloured else Ink("·")
     end = _end_ink(trace)
@@ -119,8 +122,11 @@ def _map(trace: EpisodeTrace, coloured: bool, width: int, rows: int) -> Group:
     x, y = trace.poses[:, 0], trace.poses[:, 1]
     known = np.append(False, np.diff(steps_of(trace)) == 1)
     chart.line(x, y, inks, joined=known)
+    others = trace.others[-1]
+    chart.line(others[:, 0], others[:, 1], OTHER, joined=False)
     chart.line(x[:1], y[:1], START).line(x[-1:], y[-1:], end)
     samples = [START.sample("start"), *legend, end.sample(END_NAMES[trace.ended])]
+    samples += [OTHER.sample("another car at the end")] if len(others) else []
     parts = [chart.text(), Text("  ").join(samples)]
     off = int(np.count_nonzero(~trace.track.on_map(trace.poses[:, :2])))
     if off:

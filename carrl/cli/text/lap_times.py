@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from carrl.cli.text.many_runs import print_table
+from carrl.cli.text.terminal_table import print_table
 
 Figures = Mapping[str, Any]
 KINDS = ("standing", "flying")

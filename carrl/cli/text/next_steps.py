@@ -9,12 +9,11 @@ from carrl.errors import printable
 
 
 def print_next(*steps: tuple[str, str]) -> None:
-    """Prints commands, given without `carrl`, each with what it does."""
-    lines = [(f"{carrl_command()} {command}", what) for command, what in steps]
-    width = max(len(line) for line, _ in lines)
+    """Prints commands, given without `carrl`, each on a line of its own below what it does, ready to be copied."""
     print("next:")
-    for line, what in lines:
-        print(printable(f"  {line:<{width}}  {what}"))
+    for command, what in steps:
+        print(f"  # {what}")
+        print(printable(f"  {carrl_command()} {command}"))
 
 
 def carrl_command() -> str:

@@ -26,10 +26,10 @@ function wholeCamera(episode, rectangle, margin) {
   return makeCamera(rectangle, (left + right) / 2, (bottom + top) / 2, Math.max(scale, 1e-6));
 }
 
-// The car's surroundings, a little farther than its sensors reach, if that is not too far.
-function followCamera(episode, rectangle, position) {
+// The car's surroundings, a little farther than its sensors reach, if that is not too far and shows enough of the car.
+function followCamera(episode, rectangle, position, leastScale = 0) {
   const [x, y] = poseAt(episode, position);
-  const scale = Math.min(rectangle.width, rectangle.height) / (2.6 * episode.rangeSeen);
+  const scale = Math.max(Math.min(rectangle.width, rectangle.height) / (2.6 * episode.rangeSeen), leastScale);
   return makeCamera(rectangle, x, y, scale);
 }
 

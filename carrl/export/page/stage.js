@@ -1,6 +1,7 @@
 // The large canvas: the whole track or the car's surroundings, and the other of the two as a small inset.
 
 const INSET_BELOW = 3; // pixels per metre of the whole track under which the car needs a close-up
+const MAGNIFIED = 3; // how many times as large as on the whole track the close-up shows the car at least
 const MARGIN = 34; // room for labels around the whole track, px
 
 // Everything that depends on the canvas's size and on the colours; made anew when one of them changes.
@@ -111,7 +112,7 @@ function drawWholeTrail(stage, position) {
 
 function drawCloseUp(stage, position) {
   const { episode, colours, context, whole, closeUp } = stage;
-  const camera = followCamera(episode, closeUp, position);
+  const camera = followCamera(episode, closeUp, position, MAGNIFIED * whole.scale);
   const [x, y] = poseAt(episode, position);
   const half = Math.max((closeUp.width / 2 / camera.scale) * whole.scale, 9);
   context.strokeStyle = colours.ink;

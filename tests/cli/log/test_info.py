@@ -27,7 +27,7 @@ def test_it_prints_totals_run_topics_columns_attachments_and_metadata(run, log_p
 
 
 def test_what_goes_to_a_pipe_has_each_entry_in_one_line(run, log_path, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.delenv("COLUMNS", raising=False)
     lines = run("info", log_path).splitlines()
     assert any("of the reward: collision, proximity, gate, steering" in line for line in lines)
 
