@@ -27,7 +27,20 @@ from carrl.train.checkpoint import FORMAT_VERSION
 from carrl.train.files import CONFIG, METRICS, SUMMARY, checkpoint_path, load_config
 from carrl.train.plan import checked_seed
 
-_READ = ("track", "vehicle", "action", "sensor", "observation", "reward", "start", "env", "network", "seed", "opponents", "end")
+_READ = (
+    "track",
+    "vehicle",
+    "action",
+    "sensor",
+    "observation",
+    "reward",
+    "start",
+    "env",
+    "network",
+    "seed",
+    "opponents",
+    "end",
+)
 
 
 class RunParser(Parser):

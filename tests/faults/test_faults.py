@@ -141,9 +141,7 @@ def test_a_full_shared_memory_does_not_matter(never_stopped, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "moved", [False, pytest.param(True, marks=pytest.mark.exhaustive)], ids=["deleted", "moved"]
-)
+@pytest.mark.parametrize("moved", [False, pytest.param(True, marks=pytest.mark.exhaustive)], ids=["deleted", "moved"])
 def test_a_folder_deleted_or_moved_while_training_ends_the_run(moved, never_stopped, tmp_path):
     run = tmp_path / "run"
     process = start(run)
