@@ -178,7 +178,10 @@ def test_a_wrong_search_space_is_named(entry):
         (["experiment=tune", "--trial-count", "3"], "unrecognized arguments: --trial-count"),
         (["experiment=tune", "optimizer.lr=1"], "optimizer.lr=1 has no effect, as search has optimizer.lr, which each"),
         (["experiment=tune", "+lr=1"], "there is no key lr; did you mean optimizer.lr?"),
-        (["experiment=tune", "seed=1,2"], "seed=1,2 has several values; choose one, or write a list as trainer.seeds=[A,B]"),
+        (
+            ["experiment=tune", "seed=1,2"],
+            "seed=1,2 has several values; choose one, or write a list as trainer.seeds=[A,B]",
+        ),
         (["experiment=tune", "hydra.run.dir=x"], "hydra.run.dir=x has no effect on carrl tune; leave it out"),
         (["experiment=tune", "resume=x"], "resume is 'x'; it counts only where it is typed, as in carrl train resume="),
         (["experiment=tune", "--storage", "nowhere"], "--storage 'nowhere' cannot be used"),
