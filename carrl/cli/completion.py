@@ -38,6 +38,7 @@ FLAGS = {
         *("--track", "--starts", "--laps", "--limit", "--speed-trace", "--log", "--png", "--video"),
         *("--policy", "--checkpoint", "--trust", "--json"),
     ),
+    "race": ("--track", "--laps", "--races", "--opponents", "--pace", "--cars", "--log", "--trust", "--json"),
     "watch": ("--track", "--live", "--out", "--fps", "--trust"),
     "laps": (*_READING, "--out", "--json"),
     "export": ("--format", "--out", "--seed", "--checkpoint", "--trust"),
@@ -76,7 +77,7 @@ VALUES = {
     "--direction": ("clockwise", "counterclockwise"),
 }
 """Of flags, in full, but for files of one's own."""
-_TAKE_RUNS = ("evaluate", "export", "report", "watch")
+_TAKE_RUNS = ("evaluate", "export", "race", "report", "watch")
 _TAKE_TRACKS = ("laps", "track show", "track check", "track convert", "track lap-time")
 RESUME, OPPONENTS = "resume=", "opponents.run="
 OUTPUTS = Path("outputs")
