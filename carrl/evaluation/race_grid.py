@@ -77,11 +77,11 @@ def in_a_row(entrants: Sequence[Entrant], track: Track, races: int) -> Grid:
     bump = next((each.world.bump for each in entrants if each.world.bump is not None), None)
     traffic = Traffic([track], first.vehicle, first.sensor, cars_per_world=count, bump=bump)
     need = _room(traffic, max(entrant.world.gap for entrant in entrants))
-    line = torch.arange(races) * track.length / races
+    line = torch.arange(races).double() * track.length / races
     place = (torch.arange(count) + torch.arange(races)[:, None]) % count
-    stations = (line[:, None] - place * need).flatten() % track.length
+    stations = (line[:, None] - place.double() * need).flatten() % track.length
     cars = replace(traffic.start(stations), station=stations.float())
-    return Grid(traffic, cars, line, (place * need).flatten().double())
+    return Grid(traffic, cars, line, place.flatten().double() * need)
 
 
 def among_opponents(entrant: Entrant, track: Track, races: int) -> Grid:
@@ -92,7 +92,7 @@ def among_opponents(entrant: Entrant, track: Track, races: int) -> Grid:
     traffic = world.simulator([track])
     assert isinstance(traffic, Traffic)
     _room(traffic, world.gap)
-    stations = torch.arange(races) * track.length / races
+    stations = torch.arange(races).double() * track.length / races
     cars = replace(world.at_start(traffic, stations, None), station=stations.float())
     ahead = (traffic.everyone(cars).station.view(races, -1).double() - stations[:, None]) % track.length  # type: ignore[union-attr]
     ahead[:, 0] = 0.0

@@ -117,7 +117,7 @@ def _over_all(car: str, races: Sequence[Race]) -> dict[str, Any]:
         **found,
         "contacts_own": counts[0],
         "contacts_others": counts[1],
-        **_per_km(*counts, driven_km),
+        **_per_km(counts[0], counts[1], driven_km),
         "intervals": {"contacts_own_per_km": rate_interval(counts[0], max(driven_km, LEAST_KM))},
     }
 

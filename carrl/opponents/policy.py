@@ -15,7 +15,7 @@ from carrl.evaluation.driver import Driver
 from carrl.opponents.pace import check_pace, drawn_pace, opponents_of, paces_of
 from carrl.opponents.put_back import put_back
 from carrl.sim.others import Others
-from carrl.sim.simulator import CarState, Simulator
+from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.sim.traffic import Opponents, Traffic
 from carrl.sim.vehicle import ConstantSpeed, VehicleModel
 from carrl.train.build import load_driver
@@ -93,11 +93,8 @@ class PolicyOpponents(Opponents):
         paces = torch.cat([1 / _own_speed(own, traffic) * torch.ones_like(pace[:, :1]), pace], dim=1).flatten()
         decision = driver.decide(everyone, memory, pace=paces if isinstance(own.vehicle, ConstantSpeed) else None)
         rows = torch.arange(len(paces)).view(-1, traffic.cars_per_world)[:, 1:].flatten()
-        before, controls = everyone[rows], decision.controls[rows]
-        if self._is_slowed and isinstance(own.vehicle, ConstantSpeed):
-            outcome = own.follow(before, own.vehicle.step_at(before.state, controls, paces[rows]))
-        else:
-            outcome = Simulator.step(own, before, controls)
+        before = everyone[rows]
+        outcome = self._alone(own, before, decision.controls[rows], paces[rows])
         after = put_back(own, before, outcome.cars.state, outcome.collided)
         kept = torch.where(outcome.collided[:, None], blank[:1, 0], decision.memory[rows])
         return replace(
@@ -106,6 +103,12 @@ class PolicyOpponents(Opponents):
             station=own.place(replace(before, state=after)).station.view(shape),
             memory=kept.view(*shape, -1),
         )
+
+    def _alone(self, own: Traffic, cars: CarState, controls: Tensor, pace: Tensor) -> Outcome:
+        """What becomes of opponents, [N], in a step without other cars."""
+        if self._is_slowed and isinstance(own.vehicle, ConstantSpeed):
+            return own.follow(cars, own.vehicle.step_at(cars.state, controls, pace))
+        return Simulator.step(own, cars, controls)
 
     @property
     def _is_slowed(self) -> bool:

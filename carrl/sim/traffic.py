@@ -128,16 +128,12 @@ class Traffic(Simulator):
         see(self._outline, nothing, cars_per_world, 1, np.zeros((0, sensor.rays), np.float32))
         meet(self._outline, nothing, nothing, cars_per_world)
         self.prepared: Any = opponents.prepare(self) if opponents else None
+        self.memory_size = opponents.memory_size(self) if opponents else 0
 
     @property
     def rows_per_world(self) -> int:
         """Rows of the batch that share a world: 1 where the others are opponents."""
         return 1 if self.opponents else self.cars_per_world
-
-    @property
-    def memory_size(self) -> int:
-        """Entries of an opponent's memory; 0 where they have none."""
-        return self.opponents.memory_size(self) if self.opponents else 0
 
     def sense(self, cars: CarState) -> Tensor:
         """Distances to a wall or another car along each ray, [B, R], float32, m, in [0, max_range]."""
@@ -206,12 +202,13 @@ class Traffic(Simulator):
         if others is None:
             raise ConfigError("there are no others in this state; reset the environment")
         station = self.place(cars).station if cars.station is None else cars.station
-        pairs = (
-            *((cars.state, others.state), (cars.next_gate, others.next_gate)),
-            *((cars.gates_passed, others.gates_passed), (cars.track, cars.track[:, None].expand_as(others.next_gate))),
-            (station, others.station),
+        return CarState(
+            _together(cars.state, others.state),
+            _together(cars.next_gate, others.next_gate),
+            _together(cars.gates_passed, others.gates_passed),
+            cars.track.repeat_interleave(self.cars_per_world),
+            _together(station, others.station),
         )
-        return CarState(*(_together(*pair) for pair in pairs))
 
     def neighbours(self, cars: CarState, pace: Tensor | None = None) -> Others:
         """The other cars of each row's world, [B, M], for rows that are all the cars of some worlds.

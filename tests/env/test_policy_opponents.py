@@ -4,6 +4,7 @@ import re
 import shutil
 from dataclasses import replace
 
+import gymnasium
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
@@ -81,6 +82,16 @@ def test_opponents_drive_bit_for_bit_as_the_run_drives_cars_that_are_rows(runs, 
         compared += 1
         assert torch.equal(env.simulator.everyone(alone.state.cars).state, together.state.cars.state)
     assert compared >= 5
+
+
+def test_cars_of_a_gymnasium_vector_drive_among_them_as_each_alone(runs):
+    own = {"track": "paper", "cars_per_world": 3, "opponents": PolicyOpponents(runs["looks back"])}
+    together = gymnasium.make_vec("carrl/Track-v0", num_envs=3, **own)
+    alone = gymnasium.make_vec("carrl/Track-v0", num_envs=1, **own)
+    seen, told = together.reset(seed=5)[0], alone.reset(seed=7)[0]
+    for _ in range(40):
+        assert (seen[2] == told[0]).all()
+        seen, told = together.step([0, 0, 0])[0], alone.step([0])[0]
 
 
 def test_a_noisy_sensor_is_taken_as_exact(runs):
