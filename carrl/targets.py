@@ -34,7 +34,11 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
             *("EndAtCarContact", "BumpIntoCars"),
         )
     ),
-    "opponents": ("carrl.opponents.line.LineOpponents", "carrl.opponents.rule.RuleOpponents"),
+    "opponents": (
+        "carrl.opponents.line.LineOpponents",
+        "carrl.opponents.rule.RuleOpponents",
+        "carrl.opponents.policy.PolicyOpponents",
+    ),
     "start": ("carrl.task.episode.Start",),
     "env": ("carrl.env.track_env.TrackEnv",),
     "algorithm": (

@@ -6,6 +6,7 @@ from carrl.config import build_node, config_dir
 from carrl.errors import ConfigError
 from carrl.train.build import build_pipeline
 from tests.configs import compose
+from tests.export.untrained_runs import write_untrained_run
 
 LEAVES = sorted(
     str(path.relative_to(config_dir()).with_suffix(""))
@@ -28,6 +29,7 @@ BESIDE = {
         for name in ("progress", "gran_turismo", "race", "racing", "lap_time", "torcs", "torcs_centred")
     },
     **{f"opponents/{name}": ["env.cars_per_world=3"] for name in ("line", "rule")},
+    "opponents/policy": ["env.cars_per_world=3", "opponents.run='RUN'"],
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/f1tenth": ["track.name_or_path=oval"],
@@ -36,11 +38,15 @@ BESIDE = {
 
 
 @pytest.mark.parametrize("leaf", LEAVES)
-def test_every_option_of_every_group_builds(leaf):
+def test_every_option_of_every_group_builds(leaf, tmp_path):
     group, option = leaf.split("/")
+    beside = BESIDE.get(leaf, [])
+    if any("RUN" in each for each in beside):
+        write_untrained_run(tmp_path / "run")
+        beside = [each.replace("RUN", str(tmp_path / "run")) for each in beside]
     if option == "ray":
         pytest.importorskip("ray", reason="clusters need it; pip install 'carrl[ray]'")
-    pipeline = build_pipeline(compose(f"{group}={option}", *BESIDE.get(leaf, [])))
+    pipeline = build_pipeline(compose(f"{group}={option}", *beside))
     assert len(pipeline.algorithm.seeds) >= 1
     pipeline.source.close()
 

@@ -164,7 +164,7 @@ def scaled(words):
 
 def short(words):
     """The same for the other verbs."""
-    flags = {"--trials": "2", "--count": "1", "--starts": "2", "--bin-size": "0.7", "--episode": "0"}
+    flags = {"--trials": "2", "--count": "1", "--starts": "2", "--races": "2", "--bin-size": "0.7", "--episode": "0"}
     words = [flags.get(before, word) for before, word in zip(["", *words], words, strict=False)]
     if words[0] == "tune":
         return [*words, *(f"{key}={value}" for key, value in SHORT.items() if key in ("trainer.frames", "compile"))]

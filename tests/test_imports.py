@@ -8,7 +8,7 @@ import pytest
 ORDER = [
     *("errors", "rows", "files", "cache", "plain_yaml", "targets", "config"),
     *("tracks", "sim", "racing", "task", "log", "render", "env", "algorithms", "data"),
-    *("evaluation", "opponents", "train", "report", "export", "cli"),
+    *("evaluation", "train", "opponents", "report", "export", "cli"),
     *("registration", "sb3"),
     "__init__",
 ]

@@ -38,6 +38,7 @@ FLAGS = {
         *("--track", "--starts", "--laps", "--limit", "--speed-trace", "--log", "--png", "--video"),
         *("--policy", "--checkpoint", "--trust", "--json"),
     ),
+    "race": ("--track", "--laps", "--races", "--opponents", "--pace", "--cars", "--log", "--trust", "--json"),
     "watch": ("--track", "--live", "--out", "--fps", "--trust"),
     "laps": (*_READING, "--out", "--json"),
     "export": ("--format", "--out", "--seed", "--checkpoint", "--trust"),
@@ -76,9 +77,9 @@ VALUES = {
     "--direction": ("clockwise", "counterclockwise"),
 }
 """Of flags, in full, but for files of one's own."""
-_TAKE_RUNS = ("evaluate", "export", "report", "watch")
+_TAKE_RUNS = ("evaluate", "export", "race", "report", "watch")
 _TAKE_TRACKS = ("laps", "track show", "track check", "track convert", "track lap-time")
-RESUME = "resume="
+RESUME, OPPONENTS = "resume=", "opponents.run="
 OUTPUTS = Path("outputs")
 """Where runs are looked for, unless another folder is begun."""
 _DEPTH, _MOST_FOLDERS, _MOST_RUNS = 4, 5000, 50
@@ -152,8 +153,9 @@ def candidates(line: str) -> list[str]:
         return [f"{flag} " for flag in dict.fromkeys((*FLAGS[verb], "--help")) if flag.startswith(word)]
     if before[-1] in VALUES and before[-1] in FLAGS[verb]:
         return [f"{value} " for value in VALUES[before[-1]] if value.startswith(word)]
-    if word.startswith(RESUME):
-        return [f"{RESUME}{run} " for run in _runs(word.removeprefix(RESUME))]
+    for key in (RESUME, OPPONENTS):
+        if word.startswith(key):
+            return [f"{key}{run} " for run in _runs(word.removeprefix(key))]
     if verb in _TAKE_RUNS or before[-1] == "--run":
         return [f"{run} " for run in _runs(word, sweeps=verb in _TAKE_RUNS)]
     if verb in _TAKE_TRACKS and word:

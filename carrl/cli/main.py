@@ -12,6 +12,7 @@ VERBS = {
     "train": "train a policy (Hydra overrides: carrl train seed=1 track=oval)",
     "tune": "search for the settings that do best (carrl tune experiment=tune --trials 20)",
     "evaluate": "drive a trained policy, or a baseline, and report how well it drives",
+    "race": "race trained policies against each other, or against opponents",
     "watch": "watch a trained car drive, in a window, as a page or as a video",
     "laps": "compare laps of a track: a replay against each other, and the gap over the way",
     "export": "write a trained policy as ONNX, a torch program, arrays or C",

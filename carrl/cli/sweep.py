@@ -279,7 +279,8 @@ def _train_or_go_on(config: dict[str, Any], path: Path, folder: SweepFolder) -> 
         state = resumed_state(path, config)
         summaries = read_summaries(path)
         if state and state["config"] == config and summaries and all(summary["finished"] for summary in summaries):
-            check_inputs(path, state["inputs"], checksums(build_world(config).circuits, logs_of(config)))
+            world = build_world(config)
+            check_inputs(path, state["inputs"], checksums(world.circuits, logs_of(config), world.opponents_files))
             return "finished before"
         watcher = StopFileWatcher()
         summaries = Experiment(config, path, hydra_records()).go_on(state, [watcher, RoadWarning(), StopOnSignals()])

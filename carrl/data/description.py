@@ -73,8 +73,16 @@ def scene_of(task: Task) -> Scene:
     )
 
 
-def log_schema(task: Task, algorithm: Sequence[Column]) -> Schema:
-    """The columns of a log: those of the task, and those of the algorithm."""
+def log_schema(task: Task, algorithm: Sequence[Column], others: int | None = None) -> Schema:
+    """The columns of a log: those of the task, and those of the algorithm.
+
+    Args:
+        task: what is driven.
+        algorithm: its own columns.
+        others: how many cars there are beside each that is driven; by default the opponents.
+    """
+    if others is None:
+        others = task.simulator.cars_per_world - 1 if task.has_opponents else 0
     parts = " then ".join(f"{part.width} of {part.name}" for part in task.observation_parts)
     action, names = task.action, task.simulator.vehicle.state_names
     state_key, width = "pose" if names == POSE else "state", sum(part.width for part in task.observation_parts)
@@ -116,14 +124,13 @@ def log_schema(task: Task, algorithm: Sequence[Column]) -> Schema:
     )
     collided = Column("collided", ("next", "collided"), "bool", (1,), "touching a wall ended the episode here")
     ends = (collided,) if task.may_end_otherwise else ()
-    return Schema((*columns, *ends, *_others(task)), tuple(algorithm))
+    return Schema((*columns, *ends, *_others(others)), tuple(algorithm))
 
 
-def _others(task: Task) -> tuple[Column, ...]:
-    """The columns of the opponents' poses; none where there are no opponents."""
-    if not task.has_opponents:
+def _others(count: int) -> tuple[Column, ...]:
+    """The columns of the poses of so many other cars; none where there are none."""
+    if not count:
         return ()
-    count = task.simulator.cars_per_world - 1
     entries = tuple(f"{name}_{car}" for car in range(1, count + 1) for name in POSE)
     meaning = "of the other cars of the world: x m, y m, heading rad, one car after the other"
     shape = (len(entries),)

@@ -216,7 +216,8 @@ class TrackEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         cars = CarState(*(tensordict[key] for key in (self._state_key, "next_gate", "gates_passed", "track")))
         if self.task.has_opponents:
-            cars.others = Others(*(tensordict["others", field.name] for field in fields(Others)))
+            others = tensordict["others"]
+            cars.others = Others(*(others.get(field.name, None) for field in fields(Others)))
         state = EpisodeState(cars, tensordict["step"], tensordict["last_action"])
         if self.task.carried:
             state = self._carrying(state, tensordict)
@@ -286,7 +287,9 @@ class TrackEnv(EnvBase):
         others: dict[str, Tensor] = vars(cars.others) if self.task.has_opponents else {}
         if self.task.has_opponents and cars.others is not None:
             carried["other_poses"] = cars.others.state[..., :3].flatten(1)
-        found: dict[str | tuple[str, str], Tensor] = {("others", name): value for name, value in others.items()}
+        found: dict[str | tuple[str, str], Tensor] = {
+            ("others", name): value for name, value in others.items() if value is not None
+        }
         found |= {name: value for name, value in carried.items() if value is not None}
         return found | {
             "observation": now.observation,
@@ -342,13 +345,14 @@ class TrackEnv(EnvBase):
     def _others_spec(self, others: int) -> Composite:
         """Of the opponents of each car's world, so many."""
         cars = self.batch_size[0]
-        shape, size = (cars, others), len(self.state_names)
+        shape, size, memory = (cars, others), len(self.state_names), self.simulator.memory_size
         number, count = Unbounded(shape, dtype=torch.float32), Unbounded(shape, dtype=torch.int64)
         return Composite(
             state=Unbounded((*shape, size), dtype=torch.float32),
             next_gate=count,
             gates_passed=count.clone(),
             **{name: number.clone() for name in ("station", "lane", "pace")},
+            **({"memory": Unbounded((*shape, memory), dtype=torch.float32)} if memory else {}),
             shape=(cars,),
         )
 

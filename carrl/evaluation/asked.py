@@ -11,6 +11,8 @@ PolicyName = Literal["greedy", "rule", "random", "follow_the_gap", "line"]
 """Who drives: the run's own network, or a baseline."""
 MOST_LAPS = 1000
 """Of a drive."""
+MOST_RACES = 1000
+"""On a track, which are driven side by side."""
 MOST_STARTS = 2**20
 """Places on a track, from each of which a car starts."""
 

@@ -35,16 +35,24 @@ class DriveLog:
         drives: how many, on all of them.
         seed: of the run.
         entries: what else to say of the drives.
+        others: how many cars there are beside each that is driven; by default the task's opponents.
 
     Raises:
         LogError: the file cannot be written.
     """
 
     def __init__(
-        self, path: Path, config: str, tracks: Sequence[Track], drives: int, seed: int, entries: Mapping[str, str]
+        self,
+        path: Path,
+        config: str,
+        tracks: Sequence[Track],
+        drives: int,
+        seed: int,
+        entries: Mapping[str, str],
+        others: int | None = None,
     ) -> None:
         self._path, self._tracks, self._drives, self._seed = path, tracks, drives, seed
-        self._config, self._entries = config, entries
+        self._config, self._entries, self._others = config, entries, others
         self._writer: LogWriter | None = None
         self._waiting: list[TensorDict] = []
         self._task: Task | None = None
@@ -75,7 +83,7 @@ class DriveLog:
         self._return = torch.zeros(task.cars, dtype=torch.float64)
         if self._writer is None:
             columns = getattr(policy, "log_columns", None)
-            self._schema = log_schema(task, columns(task.action.names) if columns else ())
+            self._schema = log_schema(task, columns(task.action.names) if columns else (), self._others)
             self._writer = LogWriter(
                 self._path,
                 schema=self._schema,

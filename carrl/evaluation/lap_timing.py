@@ -28,9 +28,13 @@ class LapTiming:
         cars: at their starts, [B].
         stations: of the starts, m along the centreline, [B].
         laps: how many are driven.
+        behind: the line by how much each car starts, whose first lap is longer by that, less than a lap, [B], m; 0 by
+            default.
     """
 
-    def __init__(self, simulator: Simulator, cars: CarState, stations: Tensor, laps: int) -> None:
+    def __init__(
+        self, simulator: Simulator, cars: CarState, stations: Tensor, laps: int, behind: Tensor | None = None
+    ) -> None:
         """Lays the lines across the road."""
         track = cars.track.cpu()
         self._vehicle, self._laps = simulator.vehicle, laps
@@ -38,7 +42,8 @@ class LapTiming:
         start, gap = stations.cpu() % length, length / simulator.gate_counts.cpu()[track]
         first_gate = (cars.next_gate.cpu() + 1) * gap
         first_gate = torch.where(first_gate <= start, first_gate + length, first_gate)
-        places = start[:, None] + length[:, None] * torch.arange(1, laps * SECTORS + 1) / SECTORS
+        line = start if behind is None else start + behind.cpu()
+        places = line[:, None] + length[:, None] * torch.arange(1, laps * SECTORS + 1) / SECTORS
         ends = simulator.routes.walls(track.repeat_interleave(SECTORS), places[:, :SECTORS].flatten())
         self._lines = ends.view(-1, SECTORS, 2, 2).numpy()
         gates_before = ((places - first_gate[:, None]) / gap[:, None]).floor().long().clamp(min=-1) + 1

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from carrl.rows import Rows
+from carrl.sim.others import CarContact
 from carrl.sim.simulator import CarState, Outcome, Simulator
 from carrl.task.traffic import lead, places_changed
 
@@ -47,6 +48,23 @@ class Passing(Rows):
         }
 
 
+class ContactCounter:
+    """Counts contacts of cars from step to step; those that stay in touch count once.
+
+    Args:
+        cars: before the first step, [B].
+    """
+
+    def __init__(self, cars: CarState) -> None:
+        self._touched = torch.full_like(cars.next_gate, -1)
+
+    def step(self, contact: CarContact) -> tuple[Tensor, Tensor]:
+        """Contacts in which each car drove with its front into another one, and all others: [B] both, int64."""
+        is_new = contact.touched & (contact.other != self._touched)
+        self._touched = contact.other
+        return (is_new & contact.at_fault).long(), (is_new & ~contact.at_fault).long()
+
+
 class PassingCounter:
     """Follows cars and their others from step to step.
 
@@ -60,18 +78,16 @@ class PassingCounter:
         self._lengths = simulator.routes.lengths.to(cars.track.device)[cars.track].float()
         self._station = simulator.place(replace(cars, station=None)).station
         self._lead = self._leads(cars)
-        self._touched = torch.full_like(cars.next_gate, -1)
+        self._contacts = ContactCounter(cars)
 
     def step(self, outcome: Outcome) -> Passing:
-        """What this step brought; cars that stay in touch count once."""
+        """What this step brought."""
         contact, cars, before = outcome.contact, replace(outcome.cars, station=self._station), self._lead
         assert contact is not None
         self._station = self._simulator.place(cars).station
         self._lead = self._leads(outcome.cars)
         won, lost = places_changed(before, self._lead, self._lengths)
-        is_new = contact.touched & (contact.other != self._touched)
-        self._touched = contact.other
-        return Passing(won, lost, (is_new & contact.at_fault).long(), (is_new & ~contact.at_fault).long())
+        return Passing(won, lost, *self._contacts.step(contact))
 
     def _leads(self, cars: CarState) -> Tensor:
         """By how much the others are ahead, [B, M], m."""

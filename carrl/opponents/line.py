@@ -122,9 +122,11 @@ class LineOpponents(Opponents):
         begun = replace(others, pace=pace.to(others.state.device), lane=lane.to(others.state.device))
         return replace(begun, state=self._follow(traffic, begun, track, None)[0])
 
-    def drive(self, traffic: Traffic, cars: CarState) -> tuple[Tensor, Tensor]:
+    def drive(self, traffic: Traffic, cars: CarState) -> Others:
         """Along their lanes, no faster than lets them keep their distance."""
-        return self._follow(traffic, opponents_of(cars), cars.track, cars.state)
+        others = opponents_of(cars)
+        state, station = self._follow(traffic, others, cars.track, cars.state)
+        return replace(others, state=state, station=station)
 
     def _follow(self, traffic: Traffic, others: Others, track: Tensor, own: Tensor | None) -> tuple[Tensor, Tensor]:
         """States and stations after a step among the learners in these states; without these, of being there."""

@@ -1,6 +1,6 @@
 """Opponents that drive by their own rays and the hand-written rule, slower than they could.
 
-Shapes: `B` worlds, `M` opponents of each, `N` = B * M, `R` rays, `S` entries of a vehicle's state.
+Shapes: `B` worlds, `M` opponents of each.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from torch import Tensor
 from carrl.evaluation.baselines import rule_for
 from carrl.evaluation.rollout import Policy
 from carrl.opponents.pace import check_pace, drawn_pace, opponents_of, paces_of
+from carrl.opponents.put_back import put_back
 from carrl.sim.others import Others
 from carrl.sim.simulator import CarState
 from carrl.sim.traffic import Opponents, Traffic
@@ -62,7 +63,7 @@ class RuleOpponents(Opponents):
         """With a pace of their own."""
         return replace(others, pace=drawn_pace(self.pace, self.spread, draws[..., 0]).to(others.state.device))
 
-    def drive(self, traffic: Traffic, cars: CarState) -> tuple[Tensor, Tensor]:
+    def drive(self, traffic: Traffic, cars: CarState) -> Others:
         """By the rule, as if they were told to be slower than they are."""
         others = opponents_of(cars)
         track = cars.track[:, None].expand_as(others.next_gate)
@@ -81,15 +82,6 @@ class RuleOpponents(Opponents):
                 control[:, index] = control[:, index] * pace
             after = vehicle.step(flat.state, control)
         outcome = traffic.follow(flat, after)
-        after = _put_back(traffic, flat, after, outcome.collided)
+        after = put_back(traffic, flat, after, outcome.collided)
         station = traffic.place(replace(flat, state=after)).station
-        return after.view_as(others.state), station.view_as(others.station)
-
-
-def _put_back(traffic: Traffic, cars: CarState, after: Tensor, collided: Tensor) -> Tensor:
-    """The states after the step, [N, S], but on the middle of the road for cars that have collided."""
-    if not bool(collided.any()):
-        return after
-    row = collided.nonzero()[:, 0]
-    pose = traffic.routes.poses(cars.track[row].cpu(), cars.station[row].cpu())  # type: ignore[index]
-    return after.index_copy(0, row, traffic.vehicle.initial_state(pose).to(after))
+        return replace(others, state=after.view_as(others.state), station=station.view_as(others.station))

@@ -1,6 +1,6 @@
 """The other cars of a car's world, and how it touches them.
 
-Shapes: `B` cars, `M` others of each, `S` entries of a vehicle's state.
+Shapes: `B` cars, `M` others of each, `S` entries of a vehicle's state, `Q` of an opponent's memory.
 """
 
 from dataclasses import dataclass
@@ -25,6 +25,7 @@ class Others(Rows):
         lane: that an opponent has drawn for the episode, from -1 at the right edge of the road to 1 at the left one,
             [B, M], float32; 0 of those that keep to none.
         pace: that it has drawn, a share, [B, M], float32; None of cars that are no opponents.
+        memory: what an opponent has to know of the steps before, [B, M, Q], float32; None where it needs none.
     """
 
     state: Tensor
@@ -33,6 +34,7 @@ class Others(Rows):
     station: Tensor
     lane: Tensor
     pace: Tensor | None = None
+    memory: Tensor | None = None
 
 
 @dataclass

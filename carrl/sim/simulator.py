@@ -142,6 +142,8 @@ class Simulator:
 
     cars_per_world: int = 1
     """Cars that see and touch each other."""
+    memory_size: int = 0
+    """Entries of an opponent's memory; 0 where they have none."""
 
     def __init__(
         self,

@@ -10,6 +10,7 @@ metres, angles in radians counter-clockwise from +x.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,13 +33,22 @@ _LANES = 8
 class Opponents(ABC):
     """Drives the cars that nobody learns to drive, on the CPU."""
 
+    @property
+    def files(self) -> Sequence[Path]:
+        """What it was read from: a run that is resumed must find these files as they were."""
+        return ()
+
+    def memory_size(self, traffic: "Traffic") -> int:
+        """Entries of an opponent's memory; 0 where it needs none."""
+        return 0
+
     @abstractmethod
     def prepare(self, traffic: "Traffic") -> Any:
         """What is worth being found out once about a simulator; it becomes its `prepared`."""
 
     @abstractmethod
     def begin(self, traffic: "Traffic", others: Others, draws: Tensor, track: Tensor) -> Others:
-        """The others at the start of an episode, with what they have drawn for it.
+        """The others at the start of an episode, with what they have drawn for it, and their memory if they have one.
 
         Args:
             traffic: where they drive.
@@ -48,7 +58,7 @@ class Opponents(ABC):
         """
 
     @abstractmethod
-    def drive(self, traffic: "Traffic", cars: CarState) -> tuple[Tensor, Tensor]:
+    def drive(self, traffic: "Traffic", cars: CarState) -> Others:
         """One step of the others as if each of them were alone.
 
         Args:
@@ -56,7 +66,7 @@ class Opponents(ABC):
             cars: before the step, with the others, [B].
 
         Returns:
-            Their states after it, [B, M, S], float32, and their stations, [B, M], float32, m.
+            The others with their states, stations and memories after it; their gates are counted elsewhere.
         """
 
 
@@ -118,6 +128,7 @@ class Traffic(Simulator):
         see(self._outline, nothing, cars_per_world, 1, np.zeros((0, sensor.rays), np.float32))
         meet(self._outline, nothing, nothing, cars_per_world)
         self.prepared: Any = opponents.prepare(self) if opponents else None
+        self.memory_size = opponents.memory_size(self) if opponents else 0
 
     @property
     def rows_per_world(self) -> int:
@@ -149,9 +160,8 @@ class Traffic(Simulator):
         if self.opponents is None or others is None:
             before, after = cars.state, alone.cars.state
         else:
-            moved, stations = self.opponents.drive(self, cars)
-            before = _together(cars.state, others.state)
-            after = _together(alone.cars.state, moved.to(before))
+            moved = self.opponents.drive(self, cars).map(lambda values: values.to(cars.state.device))
+            before, after = _together(cars.state, others.state), _together(alone.cars.state, moved.state)
         state, share, contact = self._meet(before, after)
         if "speed" in self.vehicle.state_names:
             state = self._pushed(after, state, contact)
@@ -160,7 +170,7 @@ class Traffic(Simulator):
         else:
             state, share = (each.unflatten(0, (-1, self.cars_per_world)) for each in (state, share))
             contact = contact.map(lambda values: values.unflatten(0, (-1, self.cars_per_world))[:, 0])
-            others = self._advanced(others, state[:, 1:], stations.to(share), share[:, 1:], cars.track)
+            others = self._advanced(others, replace(moved, state=state[:, 1:].contiguous()), share[:, 1:], cars.track)
             state, outcome = state[:, 0], replace(alone, cars=replace(alone.cars, others=others), contact=contact)
         outcome = self._held(cars, outcome, state)
         ranges, on_car = self._look(outcome.cars, outcome.ranges)
@@ -186,8 +196,28 @@ class Traffic(Simulator):
         )
         return torch.from_numpy(seen[0]).to(walls.device)
 
-    def neighbours(self, cars: CarState) -> Others:
-        """The other cars of each row's world, [B, M], for rows that are all the cars of some worlds."""
+    def everyone(self, cars: CarState) -> CarState:
+        """All cars of the worlds of cars that have `others`, [B * K]: of each world this one first."""
+        others = cars.others
+        if others is None:
+            raise ConfigError("there are no others in this state; reset the environment")
+        station = self.place(cars).station if cars.station is None else cars.station
+        return CarState(
+            _together(cars.state, others.state),
+            _together(cars.next_gate, others.next_gate),
+            _together(cars.gates_passed, others.gates_passed),
+            cars.track.repeat_interleave(self.cars_per_world),
+            _together(station, others.station),
+        )
+
+    def neighbours(self, cars: CarState, pace: Tensor | None = None) -> Others:
+        """The other cars of each row's world, [B, M], for rows that are all the cars of some worlds.
+
+        Args:
+            cars: [B].
+            pace: share of their speed at which they drive, [B]: each is told of the others' paces as multiples of its
+                own, as if it drove at full speed; None where all drive at full speed.
+        """
         rows, count = torch.arange(len(cars.state), device=self.device), self.cars_per_world
         place = torch.arange(1, count, device=self.device)
         index = rows[:, None] // count * count + (rows[:, None] + place) % count
@@ -198,6 +228,7 @@ class Traffic(Simulator):
             cars.gates_passed[index],
             still if cars.station is None else cars.station[index],
             still,
+            None if pace is None else pace[index] / pace[:, None],
         )
 
     def _look(self, cars: CarState, walls: Tensor) -> tuple[Tensor, Tensor]:
@@ -280,18 +311,17 @@ class Traffic(Simulator):
         )
         return replace(outcome, cars=counted, gates_passed=outcome.gates_passed.index_copy(0, row, passed))
 
-    def _advanced(self, others: Others, state: Tensor, station: Tensor, share: Tensor, track: Tensor) -> Others:
-        """The others after a step of which they drove a share, [B, M], on the tracks [B]."""
+    def _advanced(self, others: Others, moved: Others, share: Tensor, track: Tensor) -> Others:
+        """The others after a step in which they moved so, but drove a share of it, [B, M], on the tracks [B]."""
         count = self.gate_counts[track, None]
-        length = self.routes.lengths.to(state.device)[track, None]
+        length = self.routes.lengths.to(share.device)[track, None]
         before = others.station.double()
-        way = (station.double() - before + length / 2) % length - length / 2
+        way = (moved.station.double() - before + length / 2) % length - length / 2
         reached = ((before + share * way) % length).float()
         gates = [(each.double() * count / length).floor().long() for each in (others.station, reached)]
         passed = (gates[1] - gates[0] + count // 2) % count - count // 2
         return replace(
-            others,
-            state=state.contiguous(),
+            moved,
             station=reached,
             next_gate=gates[1] % count,
             gates_passed=others.gates_passed + passed,
@@ -299,5 +329,5 @@ class Traffic(Simulator):
 
 
 def _together(own: Tensor, others: Tensor) -> Tensor:
-    """States of one car and the others of each world, [B, S] and [B, M, S], as rows, [B * K, S]."""
+    """What one car and the others of each world have, [B, ...] and [B, M, ...], as rows, [B * K, ...]."""
     return torch.cat([own[:, None], others], dim=1).flatten(0, 1)

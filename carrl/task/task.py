@@ -207,10 +207,37 @@ class Task:
         """New episodes of the `wanted` cars where they are among all [N], and see each other."""
         state, place = self.begin_at(cars)
         everyone = state.cars if now is None or bool(wanted.all()) else now.replacing(wanted, state.cars)
-        ranges, on_car = (each[wanted] for each in self._traffic.look(everyone))
-        if self._needs_others:
-            state = replace(state, cars=replace(state.cars, others=self._traffic.neighbours(everyone)[wanted]))
-        observation = self._observe(state, ranges, place, wanted=wanted, on_car=on_car)
+        return self._told_among(everyone, state, place, wanted)
+
+    def tell(self, state: EpisodeState, pace: Tensor | None = None) -> Tensor:
+        """What the drivers of all cars of some worlds are told where they are, [N, O].
+
+        Args:
+            state: of the cars, with the stations that they had a step before if those are known; `seen` is what they
+                were told then, None at a start.
+            pace: share of their speed at which they drive, [N]; None where all drive at full speed.
+        """
+        cars = replace(state.cars, others=None)
+        place = self.simulator.place(cars) if self._needs_place else None
+        cars = cars if place is None else replace(cars, station=place.station)
+        return self._told_among(cars, replace(state, cars=cars), place, pace=pace).observation
+
+    def _told_among(
+        self,
+        everyone: CarState,
+        state: EpisodeState,
+        place: Place | None,
+        wanted: Tensor | None = None,
+        pace: Tensor | None = None,
+    ) -> EpisodeStart:
+        """What the drivers of the `wanted` cars, [N] bool, all by default, are told among everyone [N]."""
+        ranges, on_car = self._traffic.look(everyone)
+        others = self._traffic.neighbours(everyone, pace) if self._needs_others else None
+        if wanted is not None:
+            ranges, on_car, others = ranges[wanted], on_car[wanted], others if others is None else others[wanted]
+        if others is not None:
+            state = replace(state, cars=replace(state.cars, others=others))
+        observation = self._observe(state, ranges, place, state.seen, wanted, on_car)
         return EpisodeStart(self._remembering(state, observation), observation)
 
     def start_at(self, cars: CarState, wanted: Tensor | None = None) -> EpisodeStart:
@@ -396,6 +423,11 @@ class World:
     def track(self) -> Track:
         """The first track to learn on: the only one, if there is one."""
         return self.circuits.training[0]
+
+    @property
+    def opponents_files(self) -> Sequence[Path]:
+        """What the opponents were read from."""
+        return () if self.opponents is None else self.opponents.files
 
     @property
     def observation_size(self) -> int:

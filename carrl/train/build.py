@@ -35,6 +35,8 @@ from carrl.train.plan import EvaluationPlan, Limits, OfflinePlan, TrainingPlan, 
 Config = Mapping[str, Any]
 DEFAULT_ALGORITHM = {"_target_": "carrl.algorithms.dqn.dqn.DQNRecipe"}
 """Of runs from before there was a choice."""
+ANY_TRACK = {"_target_": "carrl.tracks.track.Track.load", "name_or_path": "oval"}
+"""A policy does not depend on where it learnt, which may be a file that is elsewhere now, or hundreds of circuits."""
 
 
 @dataclass(frozen=True)
@@ -216,6 +218,16 @@ def build_world(config: Config) -> World:
         gap=build_node("start", config["start"]).gap,
         bump=end.bump if end else None,
     )
+
+
+def load_driver(run: Path, config: Config) -> tuple[World, Policy]:
+    """What a run's `best` network needs to drive: the world as it sees it, alone and on no track of its own; and it.
+
+    Raises:
+        CarrlError: the run is damaged.
+    """
+    world = build_world({**config, "track": ANY_TRACK, "opponents": None})
+    return world, load_greedy_policy(run, "best", config, world)
 
 
 def _build_end(config: Config) -> End | None:

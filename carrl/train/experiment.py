@@ -108,7 +108,7 @@ class Experiment:
     def _prepare(self, state: Mapping[str, Any] | None, stack: ExitStack) -> Trainer:
         """The training, its folders opened."""
         pipeline = build_pipeline(self.config)
-        inputs = checksums(pipeline.world.circuits, logs_of(self.config))
+        inputs = checksums(pipeline.world.circuits, logs_of(self.config), pipeline.world.opponents_files)
         self._check_is_as_left(pipeline, inputs, state)
         _write(self.folder / CONFIG, as_yaml(self.config))
         for name, text in self.records.items():

@@ -15,8 +15,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carrl.config import check_targets
-from carrl.errors import CheckpointError, ConfigError, LogError
+from carrl.config import check_targets, foreign_targets
+from carrl.errors import CarrlError, CheckpointError, ConfigError, LogError, shown
 from carrl.files import read_whole, write_whole
 from carrl.plain_yaml import parse_yaml
 
@@ -65,6 +65,30 @@ def load_config(run: Path, trust: Iterable[str] = ()) -> dict[str, Any]:
         check_targets(config, trust)
     except ConfigError as error:
         raise ConfigError(f"run '{run}': {error}") from error
+    return config
+
+
+def opponents_config(run: str) -> dict[str, Any]:
+    """The configuration of the run, `opponents.run`, whose best network is to drive opponents.
+
+    Raises:
+        CarrlError: there is no such run, it has several seeds, no network yet, or parts of somebody's own.
+    """
+    folders = seed_folders(Path(run))
+    if not os.path.isdir(run):
+        raise ConfigError(f"opponents.run is '{run}', which is no folder; name a run's, or put that back where it was")
+    if folders != [Path(run)]:
+        raise ConfigError(f"opponents.run is '{run}', a run of {len(folders)} seeds; name one, such as '{folders[0]}'")
+    foreign = foreign_targets(read_config(Path(run)))
+    if foreign:
+        place, target = next(iter(foreign.items()))
+        raise ConfigError(
+            f"opponents.run is '{run}', whose {place} is {shown(target)}; only a run with CarRL's own parts can drive "
+            "opponents"
+        )
+    config = load_config(Path(run))
+    if not os.path.isfile(checkpoint_path(Path(run), "best")):
+        raise ConfigError(f"opponents.run is '{run}', which has no best network yet; wait for its first evaluation")
     return config
 
 
@@ -127,20 +151,22 @@ def write_text(path: Path, text: str) -> None:
 
 
 Inputs = Mapping[str, str]
-"""A checksum for each track and log by its name, such as "track 'oval.csv'"."""
+"""A checksum for each track, log and network by its name, such as "track 'oval.csv'"."""
 
 
-def checksums(circuits: "Circuits", logs: Iterable[Path] = ()) -> dict[str, str]:
-    """The checksums of the tracks as they are driven, and of the logs' bytes.
+def checksums(circuits: "Circuits", logs: Iterable[Path] = (), networks: Iterable[Path] = ()) -> dict[str, str]:
+    """The checksums of the tracks as they are driven, and of the bytes of logs and of opponents' networks.
 
     Raises:
         LogError: a log cannot be read.
+        CheckpointError: a network cannot.
     """
     found: dict[str, str] = {}
     for track in dict.fromkeys((*circuits.training, *circuits.validation)):
         name = f"track '{track.name}'"
         found[name if name not in found else f"{name} ({len(found)})"] = _of_track(track)
-    return found | {f"log '{path}'": _of_log(path) for path in logs}
+    found |= {f"log '{path}'": _of_file(path, "log", LogError) for path in logs}
+    return found | {f"network '{path}'": _of_file(path, "network", CheckpointError) for path in networks}
 
 
 def check_inputs(run: Path, before: Inputs, now: Inputs) -> None:
@@ -169,9 +195,9 @@ def _of_track(track: "Track") -> str:
     return digest.hexdigest()
 
 
-def _of_log(path: Path) -> str:
+def _of_file(path: Path, kind: str, refusal: type[CarrlError]) -> str:
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise LogError(f"log '{path}': cannot be read: {error.strerror}; give the path of a log") from error
+        raise refusal(f"{kind} '{path}': cannot be read: {error.strerror}; give the path of a {kind}") from error

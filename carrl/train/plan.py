@@ -14,6 +14,7 @@ from carrl.errors import ConfigError, shown
 from carrl.evaluation.asked import MOST_LAPS
 from carrl.log.reader import Log
 from carrl.tracks.names import check_may_exist
+from carrl.train.files import opponents_config
 
 MOST_REPLICATES = 4096
 """That train side by side."""
@@ -198,7 +199,7 @@ def check_early(config: Mapping[str, Any]) -> None:
     """Refuses what a run cannot do, as far as that shows before torch is imported; what builds the run checks the rest.
 
     Raises:
-        CarrlError: a plan, a seed, a device, a track or a log cannot be.
+        CarrlError: a plan, a seed, a device, a track, a log or the opponents' run cannot be.
     """
     checked_flag("compile", config["compile"])
     checked_threads(config["threads"])
@@ -208,6 +209,9 @@ def check_early(config: Mapping[str, Any]) -> None:
     plan.replicate_seeds(config["seed"])
     if config["track"].get("_target_") == "carrl.tracks.track.Track.load":
         check_may_exist(str(config["track"].get("name_or_path")))
+    opponents = config.get("opponents") or {}
+    if opponents.get("_target_") == "carrl.opponents.policy.PolicyOpponents":
+        opponents_config(str(opponents.get("run")))
     if not config.get("data"):
         build_node("evaluation", config["evaluation"])
         return

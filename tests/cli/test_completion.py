@@ -41,7 +41,9 @@ def test_every_flag_and_value_is_what_there_is():
     assert tuple(FORMATS) == export.FORMATS
 
 
-@pytest.mark.parametrize("verb", ["tune", "evaluate", "laps", "export", "drive", "report", "log", "track", "doctor"])
+@pytest.mark.parametrize(
+    "verb", ["tune", "evaluate", "race", "laps", "export", "drive", "report", "log", "track", "doctor"]
+)
 def test_every_flag_of_a_verb_is_offered(verb):
     expected = flags_of(verb, importlib.import_module(f"carrl.cli.{verb}")._parser())
     assert {name: set(flags) for name, flags in FLAGS.items() if name.split()[0] == verb} == expected

@@ -4,9 +4,9 @@ import numpy as np
 
 import carrl
 from carrl.cli.main import main
-from carrl.export.policy import ANY_TRACK, compiled_header
+from carrl.export.policy import compiled_header
 from carrl.export.policy.verify import random_inputs
-from carrl.train.build import build_world, load_greedy_policy
+from carrl.train.build import ANY_TRACK, build_world, load_greedy_policy
 from tests.export.untrained_runs import write_untrained_run
 
 CASES = {

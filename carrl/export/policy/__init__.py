@@ -16,13 +16,11 @@ from carrl.export.policy.program import write_onnx, write_program
 from carrl.export.policy.verify import compiled_header, scratch, verify
 from carrl.files import check_may_appear, write_whole
 from carrl.task.task import World
-from carrl.train.build import build_world, greedy_policy, load_network
+from carrl.train.build import ANY_TRACK, build_world, greedy_policy, load_network
 from carrl.train.run import Run
 
 FORMATS = {"onnx": ".onnx", "torch": ".pt2", "npz": ".npz", "c": ".h"}
 """Of files by their names: what those end in."""
-ANY_TRACK = {"_target_": "carrl.tracks.track.Track.load", "name_or_path": "oval"}
-"""A policy does not depend on where it learnt, which may be a file that is elsewhere now, or hundreds of circuits."""
 
 
 @dataclass(frozen=True)
