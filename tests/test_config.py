@@ -23,7 +23,7 @@ BESIDE = {
     **{f"exploration/{name}": ["loss=sac"] for name in ("none", "gaussian", "ornstein_uhlenbeck")},
     "vehicle/kinematic": DRIVEN,
     "vehicle/single_track": DRIVEN,
-    **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "racer", "torcs")},
+    **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "race", "racer", "torcs")},
     **{
         f"reward/{name}": DRIVEN
         for name in ("progress", "gran_turismo", "race", "racing", "lap_time", "torcs", "torcs_centred")
@@ -33,7 +33,10 @@ BESIDE = {
     "data/log": ["data.path=tests/log/version2.mcap"],
     "network/distributional": ["loss=distributional"],  # that needs it
     "experiment/f1tenth": ["track.name_or_path=oval"],
-    **{f"experiment/{name}": ["track.count=4", "track.validation=2"] for name in ("generalist", "racer", "traffic")},
+    **{
+        f"experiment/{name}": ["track.count=4", "track.validation=2"]
+        for name in ("generalist", "race", "racer", "traffic")
+    },
 }
 
 

@@ -6,6 +6,7 @@ the cars ahead of them.
 Shapes: `B` worlds, `M` opponents of each, `K` = M + 1 cars, `N` = B * M, `P` places along all tracks.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -79,6 +80,11 @@ class LineOpponents(Opponents):
         check_pace(self.pace, self.spread)
         number("opponents.offset", self.offset, 0, 1, "a share between 0 and 1")
         instance("opponents.line", self.line, str)
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The line's."""
+        return () if self.line is None else (Path(self.line),)
 
     def prepare(self, traffic: Traffic) -> Line:
         """The possible speeds of the tracks.

@@ -151,22 +151,22 @@ def write_text(path: Path, text: str) -> None:
 
 
 Inputs = Mapping[str, str]
-"""A checksum for each track, log and network by its name, such as "track 'oval.csv'"."""
+"""A checksum for each track, log and file of the opponents by its name, such as "track 'oval.csv'"."""
 
 
-def checksums(circuits: "Circuits", logs: Iterable[Path] = (), networks: Iterable[Path] = ()) -> dict[str, str]:
-    """The checksums of the tracks as they are driven, and of the bytes of logs and of opponents' networks.
+def checksums(circuits: "Circuits", logs: Iterable[Path] = (), opponents: Iterable[Path] = ()) -> dict[str, str]:
+    """The checksums of the tracks as they are driven, and of the bytes of logs and of what opponents were read from.
 
     Raises:
         LogError: a log cannot be read.
-        CheckpointError: a network cannot.
+        ConfigError: a file of the opponents cannot.
     """
     found: dict[str, str] = {}
     for track in dict.fromkeys((*circuits.training, *circuits.validation)):
         name = f"track '{track.name}'"
         found[name if name not in found else f"{name} ({len(found)})"] = _of_track(track)
     found |= {f"log '{path}'": _of_file(path, "log", LogError) for path in logs}
-    return found | {f"network '{path}'": _of_file(path, "network", CheckpointError) for path in networks}
+    return found | {f"opponents' file '{path}'": _of_file(path, "opponents' file", ConfigError) for path in opponents}
 
 
 def check_inputs(run: Path, before: Inputs, now: Inputs) -> None:
@@ -200,4 +200,4 @@ def _of_file(path: Path, kind: str, refusal: type[CarrlError]) -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise refusal(f"{kind} '{path}': cannot be read: {error.strerror}; give the path of a {kind}") from error
+        raise refusal(f"{kind} '{path}': cannot be read: {error.strerror}; give the path of one that can") from error

@@ -282,7 +282,7 @@ def name_files(argument: str) -> list[str]:
         return [argument]
     if bare == "track" and any("." in path or os.sep in path or _in_library(path) for path in _paths_in(value)):
         return [f"{key}=file", f"track.name_or_path={','.join(map(_track_or_path, _paths_in(value)))}"]
-    if bare in ("track.folder", "opponents.run") and value not in ("null", "???"):
+    if bare in ("track.folder", "opponents.run", "opponents.line") and value not in ("null", "???"):
         return [f"{key}={_quote_paths(value)}"]
     if bare == "data.path" and value not in ("???", "[]"):
         is_list = value.startswith("[") and value.endswith("]") and not os.path.exists(value)

@@ -30,7 +30,7 @@ def alone(path, **options):
     cars.state.fill_(torch.nan)
     states = []
     for _ in range(300):
-        cars.others.state, cars.others.station = opponents.drive(env.simulator, cars)
+        cars.others = opponents.drive(env.simulator, cars)
         states.append(cars.others.state[0, 0].double().numpy())
     return np.array(states[100:])
 

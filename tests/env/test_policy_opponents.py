@@ -159,7 +159,10 @@ def test_a_run_among_them_resumes_bit_for_bit_and_notices_another_network(runs, 
     other = write_untrained_run(tmp_path / "other", *RUNS["looks back"], seed=1)
     shutil.copy(other / "checkpoints" / "best.pt", opponent / "checkpoints" / "best.pt")
     assert main(["train", f"resume={parts}", "trainer.frames=192"]) == 2
-    assert f"began with other inputs: network '{opponent}/checkpoints/best.pt' was changed" in capsys.readouterr().err
+    assert (
+        f"began with other inputs: opponents' file '{opponent}/checkpoints/best.pt' was changed"
+        in capsys.readouterr().err
+    )
     shutil.rmtree(opponent)
     assert main(["evaluate", str(whole)]) == 2
     assert capsys.readouterr().err == (
