@@ -32,6 +32,20 @@ def marker(tmp_path):
 
 
 @pytest.fixture(autouse=True, scope="session")
+def _no_columns():
+    """No width is asked for, whoever starts the tests.
+
+    GNU readline, which pytest imports, exports COLUMNS and LINES; pytest-xdist's processes inherit them
+    (findings/readline_exports_columns_to_workers.sh).
+    """
+    patches = pytest.MonkeyPatch()
+    patches.delenv("COLUMNS", raising=False)
+    patches.delenv("LINES", raising=False)
+    yield
+    patches.undo()
+
+
+@pytest.fixture(autouse=True, scope="session")
 def _one_composition():
     """Hydra 1.3 composes the whole configuration once more to find out `hydra.mode`, which no test sets.
 

@@ -88,7 +88,7 @@ def print_table(
         _Column(name, cells, name in (header[1:] if figures is None else figures))
         for name, cells in zip(header, texts, strict=True)
     ]
-    console.print(Text(printable(title), style="bold"))
+    console.print(Text(printable(title), style="bold"), soft_wrap=True)  # a path in it can be copied
     for part in _parts(columns, console.width - 1):
         table = Table(show_header=any(header))
         for column, width in zip(part, _widths(part, console.width - 1), strict=True):
