@@ -159,10 +159,10 @@ def test_a_loss_that_is_not_a_number_tells_its_update_batch_and_norms(tmp_path, 
     run = tmp_path / "run"
     assert main(["train", *OVERRIDES, "optimizer.lr=1e15", f"hydra.run.dir={run}"]) == 2
     *_, sentence = capsys.readouterr().err.strip().splitlines()
-    assert "the loss is nan at update 2, frame 128, of seed 0: the rewards of its minibatch are " in sentence
+    assert "the loss is nan at update 2, frame 136, of seed 0: the rewards of its minibatch are " in sentence
     report = json.loads((run / "divergence.json").read_text())
     assert not math.isfinite(float(report["loss"]))
-    assert (report["frame"], report["update"]) == (128, 2)
+    assert (report["frame"], report["update"]) == (136, 2)
     assert len(report["items"]) == 128
     assert set(report["parameter_norms"]) == {
         f"module.0.module.{n}.{p}" for n in (0, 2, 4, 6) for p in ("weight", "bias")
