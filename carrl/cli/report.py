@@ -18,10 +18,11 @@ BIN_SIZE = 0.25
 
 
 def main(argv: list[str]) -> int:
-    """Prints a report in Markdown, or as JSON, and on demand writes it with its figures into a folder."""
+    """Prints a report as text or JSON, and on demand writes it with its figures into a folder."""
     arguments = _parser().parse_args(argv)
     _check(arguments)
-    from carrl.evaluation.best_lap import find_best_lap  # From here on it takes seconds.
+    from carrl.cli.text.markdown_terminal import print_markdown  # From here on it takes seconds.
+    from carrl.evaluation.best_lap import find_best_lap
     from carrl.report.document import as_json, write_report
     from carrl.report.findings import find
     from carrl.report.text import common_world, report_text
@@ -40,7 +41,7 @@ def main(argv: list[str]) -> int:
     if arguments.json:
         print(as_json(findings, best_lap))
         return 0
-    print(report_text(findings, best_lap))
+    print_markdown(report_text(findings, best_lap))
     if arguments.out:
         print(f"\nreport in {arguments.out}")
     return 0
@@ -66,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=named_folder, metavar="FOLDER", help="write report.md, CSV, JSON and figures into this folder"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON document instead of Markdown")
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
     parser.add_argument(
         "--baseline", metavar="GROUP", help='compare all groups with this one, named as in the report: "loss=dqn"'
     )

@@ -1,4 +1,4 @@
-"""A report in words and tables: Markdown for a terminal and for a file."""
+"""A report in words and tables, in Markdown."""
 
 import csv
 import io
