@@ -103,9 +103,10 @@ def test_a_finished_run_names_the_next_two_commands(tmp_path, capsys):
     short = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=16", "replay_buffer.batch_size=8"]
     run = tmp_path / "a run"
     assert main(["train", *short, f"hydra.run.dir='{run}'"]) == 0
-    *_, first, second = capsys.readouterr().out.splitlines()
-    assert first.split("  ")[1].endswith(f"carrl evaluate '{run}' --track paper")
-    assert second.split("  ")[1].endswith(f"carrl log replay '{run}/train.mcap'")
+    *_, heading, _, first, _, second = capsys.readouterr().out.splitlines()
+    assert heading == "next:"
+    assert first.endswith(f"carrl evaluate '{run}' --track paper")
+    assert second.endswith(f"carrl log replay '{run}/train.mcap'")
 
 
 def test_the_next_command_can_be_typed_where_carrl_is_not_on_the_path(monkeypatch, tmp_path):

@@ -175,7 +175,7 @@ def test_evaluate_keeps_a_log_a_picture_and_a_video(run, tmp_path, capsys):
 
 def test_evaluate_draws_without_keeping_a_log(run, tmp_path, capsys):
     assert main(["evaluate", str(run), "--track", "oval", "--png", str(tmp_path / "lap.svg")]) == 0
-    assert lines(capsys)[-4].startswith(f"{tmp_path / 'lap.svg'}: drive 0 on oval, ")
+    assert lines(capsys)[-6].startswith(f"{tmp_path / 'lap.svg'}: drive 0 on oval, ")
     assert [path.name for path in tmp_path.iterdir()] == ["lap.svg"]
     assert b"<svg" in (tmp_path / "lap.svg").read_bytes()
 
