@@ -26,7 +26,7 @@ from carrl.render.window import DISPLAYS
 State = Literal["ok", "missing", "broken"]
 """Missing is what CarRL can do without; broken is what it needs."""
 EXTRAS = {
-    "render": "carrl drive, and windows of environments",
+    "render": "carrl drive and carrl watch, and windows of environments",
     "export": "videos, Rerun, Foxglove and Parquet",
     "racing": "carrl track lap-time, carrl evaluate --policy line and --limit auto",
     "onnx": "carrl export to ONNX, and driving with it",
@@ -194,7 +194,7 @@ def _display() -> Finding:
     found = [f"{name}={os.environ[name]}" for name in DISPLAYS if name in os.environ]
     if found or sys.platform != "linux":
         return Finding("display", "ok", found[0] if found else "of the system")
-    remedy = "carrl drive needs one; everything else draws into files and pages"
+    remedy = "carrl drive needs one, and carrl watch without --out FILE; everything else draws into files and pages"
     return Finding("display", "missing", f"none of {', '.join(DISPLAYS)} is set", remedy)
 
 

@@ -14,12 +14,13 @@ const linkAsksToPlay = () => new URLSearchParams(location.hash.slice(1)).has("pl
 
 const linkTo = (episode, step) => `${location.href.split("#")[0]}#step=${episode.stepNumbers[step]}`;
 
-// Keeps the address at the step that is shown, once it stays for a moment.
+// Keeps the address at the step that is shown, once it stays for a moment, unless somebody else has changed it by then.
 function makeLinkWriter(episode) {
   let timer = 0;
   return (step) => {
     clearTimeout(timer);
-    timer = setTimeout(() => writeLink(episode, step), WRITE_DELAY);
+    const before = location.hash;
+    timer = setTimeout(() => location.hash === before && writeLink(episode, step), WRITE_DELAY);
   };
 }
 
