@@ -176,7 +176,11 @@ def _on_the_road(path: str, traffic: Traffic, places: int) -> tuple[Floats, Floa
             f"opponents.line is of one road, and there are {len(traffic.tracks)}, variants included; leave it out, or "
             "train on one track with start.mirrored=false start.reversed=false"
         )
-    road, line = traffic.track, ReferenceLine.read(path)
+    try:
+        line = ReferenceLine.read(path)
+    except TrackError as error:
+        raise TrackError(f"opponents.line is '{path}', and {error}; carrl track lap-time --csv writes one") from error
+    road = traffic.track
     poses = torch.from_numpy(np.stack([line.x, line.y, line.heading], axis=1)).float()
     stations, sides = stations_along(road, poses, 0.0, float(np.diff(line.closed().distance).max()))
     length, roads = road.length, traffic.places.roads

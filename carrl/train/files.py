@@ -79,7 +79,10 @@ def opponents_config(run: str) -> dict[str, Any]:
         raise ConfigError(f"opponents.run is '{run}', which is no folder; name a run's, or put that back where it was")
     if folders != [Path(run)]:
         raise ConfigError(f"opponents.run is '{run}', a run of {len(folders)} seeds; name one, such as '{folders[0]}'")
-    foreign = foreign_targets(read_config(Path(run)))
+    try:
+        foreign = foreign_targets(read_config(Path(run)))
+    except CarrlError as error:
+        raise ConfigError(f"opponents.run is '{run}', which cannot be read as a run: {error}") from error
     if foreign:
         place, target = next(iter(foreign.items()))
         raise ConfigError(

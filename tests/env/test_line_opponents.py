@@ -63,7 +63,9 @@ def test_a_line_of_another_road_is_refused(track, start, error, says, line):
 
 
 def test_a_line_that_is_no_file_is_refused(tmp_path):
-    with pytest.raises(TrackError, match=r"line 'none\.csv'"):
+    with pytest.raises(
+        TrackError, match=r"^opponents\.line is '.*none\.csv', and line 'none\.csv'.* --csv writes one$"
+    ):
         TrackEnv("oval", cars_per_world=2, opponents=LineOpponents(line=str(tmp_path / "none.csv")), **DRIVEN)
     with pytest.raises(ConfigError, match=r"opponents\.line is 3; it must be a str"):
         LineOpponents(line=3)
