@@ -76,7 +76,8 @@ def plain(config: DictConfig, folders: Iterable[Path] = ()) -> dict[str, Any]:
     try:
         missing = sorted(OmegaConf.missing_keys(config))
         if missing:
-            raise ConfigError(f"{missing[0]} has no value; give it one, as in carrl train ... {missing[0]}=FILE")
+            what = "RUN" if missing[0].endswith(".run") else "FILE"
+            raise ConfigError(f"{missing[0]} has no value; give it one, as in carrl train ... {missing[0]}={what}")
         values: dict[str, Any] = OmegaConf.to_container(config, resolve=True)  # type: ignore[assignment]
     except OmegaConfBaseException as error:
         raise ConfigError(explain(error)) from error
