@@ -38,11 +38,13 @@ class EpisodeTrace:
         scene: sensors, car and tracks.
         columns: of the log, by name, each [T, ...], in the order of the steps.
         entries: what the values of a column's row are called, by the name of the column, if they have names.
+        ends_with_laps: whether it was to end with its last lap, as the drives of an evaluation do.
     """
 
     scene: Scene
     columns: Columns
     entries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    ends_with_laps: bool = False
 
     def __len__(self) -> int:
         """Steps, T."""
@@ -69,8 +71,8 @@ class EpisodeTrace:
         terminated, truncated = (bool(self.columns[name][-1].any()) for name in ("terminated", "truncated"))
         if not terminated and not truncated:
             return "unfinished"
-        before, gates = self.gates_passed[-2:].tolist()
-        if not terminated and gates > before and gates % len(self.track.gates) == 0:
+        gates = int(self.gates_passed[-1])
+        if self.ends_with_laps and not terminated and gates and gates % len(self.track.gates) == 0:
             return "laps complete"
         collided = self.columns.get("collided", self.columns["terminated"])  # there if something else ends episodes
         return how_ended(terminated, bool(collided[-1].any()))
@@ -227,7 +229,8 @@ def read_trace(log: Log, episode: int) -> EpisodeTrace:
         _check_columns(scene, columns)
     except ValueError as error:
         raise _undescribed(log, str(error)) from error
-    return EpisodeTrace(scene, columns, {column.name: column.entries for column in log.schema.columns})
+    entries = {column.name: column.entries for column in log.schema.columns}
+    return EpisodeTrace(scene, columns, entries, ends_with_laps="policy" in log.metadata)
 
 
 def _check_columns(scene: Scene, columns: Columns) -> None:

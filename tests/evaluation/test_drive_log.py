@@ -66,6 +66,17 @@ def test_each_drive_is_an_episode_on_its_track_with_the_figures_of_the_evaluatio
         assert trace.ended == "laps complete"
 
 
+def test_a_lap_is_complete_wherever_it_began_between_two_gates(tmp_path):
+    """Its last gate is not passed in the last step: the car drives on to the line where it began."""
+    track, path = Track.load("oval"), tmp_path / "drive.mcap"
+    with DriveLog(path, "seed: 7\n", [track], drives=5, seed=7, entries={"policy": "rule"}) as log:
+        TrackEvaluator(make_world(), [track], starts=5).evaluate(rule_policy, recorder=log)
+    with Log(path) as log:
+        traces = [read_trace(log, number) for number in range(5)]
+    assert any(trace.gates_passed[-1] == trace.gates_passed[-2] for trace in traces)
+    assert {trace.ended for trace in traces} == {"laps complete"}
+
+
 def test_the_laps_of_the_log_are_those_of_the_evaluation(driven):
     path, drives = driven
     with Log(path) as log:
