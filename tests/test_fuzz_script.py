@@ -9,7 +9,8 @@ from carrl.errors import CarrlError
 
 
 @pytest.mark.parametrize("name", script.PARSERS)
-def test_only_carrl_errors_come_out_of_a_parser(name):
+def test_only_carrl_errors_come_out_of_a_parser(name, monkeypatch):
+    monkeypatch.setattr(parser_module, "SLOW_S", parser_module.HANGING_S)  # how slow this machine is does not matter
     tally = script.fuzz(name, 150, seed=1)
     assert tally.faults == {}
     assert tally.accepted > 5
@@ -61,6 +62,11 @@ def test_whatever_is_no_carrl_error_is_a_fault(tmp_path, error, accepted, fault)
     assert verdict.accepted is accepted
     assert (verdict.fault is None) is (fault is None)
     assert (fault or "") in (verdict.fault or "")
+
+
+def test_an_input_that_takes_long_is_a_fault(tmp_path, monkeypatch):
+    monkeypatch.setattr(parser_module, "SLOW_S", -1)
+    assert "it took 0.0 s" in (judge(Faulty(tmp_path), 0, 0).fault or "")
 
 
 def test_an_input_without_end_is_ended_and_a_fault(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ORDER = [
-    *("errors", "rows", "files", "cache", "plain_yaml", "targets", "config"),
+    *("errors", "rows", "files", "cache", "plain_yaml", "targets", "config", "machine_code"),
     *("tracks", "sim", "racing", "task", "log", "render", "env", "algorithms", "data"),
     *("evaluation", "train", "opponents", "report", "export", "cli"),
     *("registration", "sb3"),

@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
+from carrl.algorithms.common.native import CompilationError
 from carrl.log.schema import Column
 from carrl.task.task import World
 
@@ -53,6 +54,14 @@ class FunctionalUpdate(NamedTuple):
     state: Sequence[Tree]
     constants: Sequence[Tree]
     inputs: Callable[[], Sequence[Tree]]
+
+
+ManyUpdates = Callable[[int, Tensor, Tensor | None], UpdateResult]
+"""Makes updates of all replicates, one after the other.
+
+It is given the first one's number, the places of the minibatches in the memory [U, N, A], and how much they count
+[U, N, A] or None, and returns losses [U, A] and squared TD errors [U, N, A].
+"""
 
 
 class CollectPolicy(TensorDictModuleBase):
@@ -126,6 +135,20 @@ class Algorithm(ABC):
         Raises:
             CompilationError: there is none.
         """
+
+    def machine_code(self, memory: Mapping[Any, Tensor], batch_size: int) -> ManyUpdates:
+        """The same update written by hand, on the tensors that are there now; `update` was called before.
+
+        It needs no C++ compiler, and many of them are one call.
+
+        Args:
+            memory: the transitions, [capacity, A, ...] by key; its tensors stay where they are.
+            batch_size: N.
+
+        Raises:
+            CompilationError: there is none for such networks and losses.
+        """
+        raise CompilationError(f"{type(self).__name__} has no machine code of its own")
 
     def figures(self) -> Figures:
         """What it adds to the table of episodes, the same for all replicates."""

@@ -106,18 +106,23 @@ _LEAST_ERROR = 1e-6
 """What is added to a TD error, so that no transition is never sampled."""
 
 
-class Minibatch(NamedTuple):
-    """Places in the memories: `storage[items, replicates]` is the sample.
+class Minibatches(NamedTuple):
+    """Places in the memories: `storage[items, replicates]` are the samples of so many updates, U.
 
     Attributes:
-        items: [batch_size, A], int64.
-        replicates: [batch_size, A], int64.
-        weights: by which the losses count, [batch_size, A]; None where they count alike.
+        items: [U, batch_size, A], int64.
+        replicates: [U, batch_size, A], int64.
+        weights: by which the losses count, [U, batch_size, A]; None where they count alike.
     """
 
     items: Tensor
     replicates: Tensor
     weights: Tensor | None = None
+
+    def after(self, made: int) -> "Minibatches":
+        """Those that are left after so many updates."""
+        weights = None if self.weights is None else self.weights[made:]
+        return Minibatches(self.items[made:], self.replicates[made:], weights)
 
 
 class AgentSampler(RandomSampler):
@@ -145,10 +150,10 @@ class AgentSampler(RandomSampler):
         items = torch.stack(drawn, dim=1).to(storage.device)
         return (items, self._replicates.to(storage.device).expand_as(items)), {}
 
-    def minibatches(self, storage: Storage, count: int, batch_size: int) -> Iterator[Minibatch]:
-        """Those of the next `count` updates."""
+    def minibatches(self, storage: Storage, count: int, batch_size: int) -> Iterator[Minibatches]:
+        """Those of the next `count` updates, as many at once as can be drawn before one of these is made."""
         samples, _ = self.sample(storage, count * batch_size)
-        yield from map(Minibatch, *(index.split(batch_size) for index in samples))
+        yield Minibatches(*(index.unflatten(0, (count, batch_size)) for index in samples))
 
     def state_dict(self) -> dict[str, Any]:
         """Where every generator stands."""
@@ -197,11 +202,11 @@ class PrioritizedAgentSampler(AgentSampler):
             "priority_weight": weights.T.contiguous().float().to(storage.device)
         }
 
-    def minibatches(self, storage: Storage, count: int, batch_size: int) -> Iterator[Minibatch]:
+    def minibatches(self, storage: Storage, count: int, batch_size: int) -> Iterator[Minibatches]:
         """Those of the next updates, each drawn when the one before has set its priorities."""
         for _ in range(count):
             (items, replicates), info = self.sample(storage, batch_size)
-            yield Minibatch(items, replicates, info["priority_weight"])
+            yield Minibatches(items[None], replicates[None], info["priority_weight"][None])
 
     def extend(self, index: Tensor) -> None:
         """Gives new transitions the greatest priority so far; called by the buffer."""

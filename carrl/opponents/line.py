@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError, TrackError
+from carrl.machine_code import as_array
 from carrl.opponents.pace import check_pace, drawn_pace, opponents_of, paces_of
 from carrl.racing.reference_line import Floats, ReferenceLine
 from carrl.racing.speed_profile import possible_speeds
 from carrl.sim.driven import DrivenCar
 from carrl.sim.kinematic import Kinematic
-from carrl.sim.machine_code import as_array
 from carrl.sim.others import Others
 from carrl.sim.places import Roads, stations_along
 from carrl.sim.simulator import CarState

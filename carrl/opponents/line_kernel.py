@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carrl.sim.machine_code import compiled, inlined
+from carrl.machine_code import compiled, inlined
 from carrl.sim.places import Roads
 
 

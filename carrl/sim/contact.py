@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
-from carrl.sim.machine_code import apart, as_array, compiled, inlined
+from carrl.machine_code import apart, as_array, compiled, inlined
 from carrl.sim.vehicle import Disc, Rectangle, VehicleModel
 
 _GAP = 0.02

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.machine_code import apart, as_array, compiled, dispatched, inlined
 from carrl.sim.collision_geometry import CollisionGeometry
-from carrl.sim.machine_code import apart, as_array, compiled, dispatched, inlined
 from carrl.sim.sensor import Sensor
 from carrl.sim.vehicle import VehicleModel
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from carrl.sim.machine_code import compiled, inlined
+from carrl.machine_code import compiled, inlined
 
 
 @compiled

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carrl.machine_code import as_array, compiled
 from carrl.rows import Rows
-from carrl.sim.machine_code import as_array, compiled
 
 if TYPE_CHECKING:
     from carrl.tracks.track import Track

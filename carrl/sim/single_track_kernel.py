@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carrl.sim.machine_code import compiled, inlined
+from carrl.machine_code import compiled, inlined
 
 _SMALL = 0.25
 _Motion = tuple[float, float, float, float, float, float]

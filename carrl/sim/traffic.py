@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
-from carrl.sim.machine_code import as_array
+from carrl.machine_code import as_array
 from carrl.sim.others import CarContact, Others
 from carrl.sim.sensor import Sensor
 from carrl.sim.simulator import CarState, Outcome, Simulator

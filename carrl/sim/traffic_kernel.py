@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carrl.sim.machine_code import apart, compiled, inlined
+from carrl.machine_code import apart, compiled, inlined
 
 # Written out, since Numba's cache sees only changes to this file.
 _GAP = 0.01

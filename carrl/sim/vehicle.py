@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from carrl.errors import ConfigError
-from carrl.sim.machine_code import compiled
+from carrl.machine_code import compiled
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of every parameter of a car, m, m/s, s or degrees; far off, so that none of their products overflows."""

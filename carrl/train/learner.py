@@ -10,7 +10,7 @@ Shapes: `A` replicates, `U` updates.
 import logging
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,13 +22,16 @@ from torchrl.data import TensorDictReplayBuffer
 from carrl.algorithms.algorithm import Algorithm, UpdateResult
 from carrl.algorithms.common.compiled_update import CompiledUpdate
 from carrl.algorithms.common.native import CompilationError
-from carrl.data.replay_buffer import Minibatch, memory_of
+from carrl.data.replay_buffer import Minibatches, memory_of
 
-COMPILED, EAGER = "compiled", "eager"
+MACHINE_CODE, COMPILED, EAGER = "machine code", "compiled", "eager"
 """The kinds of update. Their numbers differ by rounding: by 1e-7 after some hundred updates, and by more and more."""
 DIVERGENCE = "divergence.json"
 """The file in a run's folder with the whole story of a loss that stopped being a number."""
 _logger = logging.getLogger(__name__)
+_Make = Callable[[int, Minibatches], UpdateResult]
+"""Makes one or more of the updates of these minibatches, whose first one has this number; U of the result says how
+many."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Learner:
         self._compiles = compiled
         self._frames_per_update = frames_per_update
         self._frames_waiting = 0
-        self._native: list[CompiledUpdate] = []
+        self._make: _Make | None = None
         self._kind: str | None = None if compiled else EAGER  # not known before it was tried
         self.updates = 0
         self.first_update_at: float | None = None
@@ -127,34 +130,34 @@ class Learner:
     def _update(self, count: int) -> None:
         """The first update of all is eager, for it makes the optimizers' state; the second one compiles."""
         losses, sampled = [], []
-        storage, sampler, size = self._buffer.storage, self._buffer.sampler, self._buffer.batch_size
-        for number, minibatch in enumerate(sampler.minibatches(storage, count, size), self.updates):
-            self._algorithm.prepare(number, size)
-            if self._compiles and not self._native and number > 0:
-                self._try_to_compile()
-            items, weights = minibatch.items, minibatch.weights
-            if self._native:
-                result = self._native[self._algorithm.kind_of(number)](items, weights)
-            else:
-                result = self._update_eagerly(minibatch)
-            self.losses = result.losses
-            if weights is not None and result.td_errors is not None:
-                sampler.set_priorities(items, result.td_errors.sqrt())
-            losses.append(self.losses)
-            sampled.append(items)
-            if self.first_update_at is None and (self._native or not self._compiles):
-                self.first_update_at = time.monotonic()
-        self._note_divergences(torch.stack(losses), sampled)
+        sampler, size, number = self._buffer.sampler, self._buffer.batch_size, self.updates
+        for drawn in sampler.minibatches(self._buffer.storage, count, size):
+            made = 0
+            while made < len(drawn.items):
+                if self._compiles and self._make is None and number > 0:
+                    self._try_to_compile()
+                result = (self._make or self._update_eagerly)(number, drawn.after(made))
+                items = drawn.items[made : made + len(result.losses)]
+                if drawn.weights is not None and result.td_errors is not None:
+                    sampler.set_priorities(items[-1], result.td_errors[-1].sqrt())
+                losses.append(result.losses)
+                sampled.append(items)
+                made, number = made + len(items), number + len(items)
+                self.losses = result.losses[-1]
+                if self.first_update_at is None and (self._make or not self._compiles):
+                    self.first_update_at = time.monotonic()
+        self._note_divergences(torch.cat(losses), torch.cat(sampled))
         self.updates += count
 
-    def _update_eagerly(self, minibatch: Minibatch) -> UpdateResult:
-        batch = self._buffer.storage.get((minibatch.items, minibatch.replicates))
-        if minibatch.weights is not None:
-            batch["priority_weight"] = minibatch.weights
-        return self._algorithm.update(batch)
+    def _update_eagerly(self, number: int, minibatches: Minibatches) -> UpdateResult:
+        self._algorithm.prepare(number, self._buffer.batch_size)
+        batch = self._buffer.storage.get((minibatches.items[0], minibatches.replicates[0]))
+        if minibatches.weights is not None:
+            batch["priority_weight"] = minibatches.weights[0]
+        return _as_one_of_many(self._algorithm.update(batch))
 
-    def _note_divergences(self, losses: Tensor, sampled: Sequence[Tensor]) -> None:
-        """Looks for losses [U, A] that are not finite; the items sampled are [batch_size, A] for each update."""
+    def _note_divergences(self, losses: Tensor, sampled: Tensor) -> None:
+        """Looks for losses [U, A] that are not finite; the items sampled are [U, batch_size, A]."""
         broken = ~losses.isfinite()
         if not broken.any():
             return
@@ -166,21 +169,39 @@ class Learner:
 
     def _try_to_compile(self) -> None:
         self.compiling_since = time.monotonic()
-        buffer = self._buffer
         try:
-            memory, weighted = memory_of(buffer), buffer.sampler.is_weighted
-            self._native = [
-                CompiledUpdate(update, memory, buffer.batch_size, weighted) for update in self._algorithm.functional()
-            ]
+            self._make, kind = self._compiled()
         except CompilationError as error:
             if not self._is_interrupted:
                 _logger.warning("Updates run eagerly, many times slower, because they cannot be compiled: %s", error)
-            self._compiles = False
+            self._compiles, kind = False, EAGER
         finally:
             self.compiling_since = None
         if self._is_interrupted:  # torchrl 0.14 makes an error of its own of a KeyboardInterrupt that is raised in it
             raise KeyboardInterrupt
-        self._note_kind(COMPILED if self._native else EAGER)
+        self._note_kind(kind)
+
+    def _compiled(self) -> tuple[_Make, str]:
+        """What makes updates, and its kind."""
+        algorithm, buffer = self._algorithm, self._buffer
+        memory, weighted = memory_of(buffer), buffer.sampler.is_weighted
+        try:
+            make = algorithm.machine_code(memory, buffer.batch_size)
+        except CompilationError:
+            native = [CompiledUpdate(update, memory, buffer.batch_size, weighted) for update in algorithm.functional()]
+
+            def make_one(number: int, minibatches: Minibatches) -> UpdateResult:
+                algorithm.prepare(number, buffer.batch_size)
+                weights = None if minibatches.weights is None else minibatches.weights[0]
+                return _as_one_of_many(native[algorithm.kind_of(number)](minibatches.items[0], weights))
+
+            return make_one, COMPILED
+
+        def make_all(number: int, minibatches: Minibatches) -> UpdateResult:
+            algorithm.prepare(number + len(minibatches.items) - 1, buffer.batch_size)
+            return make(number, minibatches.items, minibatches.weights)
+
+        return make_all, MACHINE_CODE
 
     def _note_kind(self, kind: str) -> None:
         """Says where updates go on in another way than before, whose numbers differ in their last digits."""
@@ -209,6 +230,10 @@ class Learner:
             "parameter_norms": {name: str(value.norm().item()) for name, value in network.named_parameters()},
             "items": list(divergence.items),
         }
+
+
+def _as_one_of_many(result: UpdateResult) -> UpdateResult:
+    return UpdateResult(result.losses[None], None if result.td_errors is None else result.td_errors[None])
 
 
 def divergence_sentence(report: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from carrl.data.replay_buffer import make_prioritized_replay_buffer
+from carrl.data.replay_buffer import Minibatches, make_prioritized_replay_buffer
 from carrl.errors import ConfigError
 from tests.data.test_collection import numbered_transitions
 
@@ -18,7 +18,8 @@ def make_buffer(items=4, seeds=(0,), alpha=1.0, beta=1.0, batch_size=4000):
 
 
 def minibatch(buffer):
-    return next(buffer.sampler.minibatches(buffer.storage, 1, buffer.batch_size))
+    drawn = next(buffer.sampler.minibatches(buffer.storage, 1, buffer.batch_size))
+    return Minibatches(*(each[0] for each in drawn))
 
 
 def note(buffer, errors):

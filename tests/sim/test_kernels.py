@@ -315,7 +315,7 @@ def test_a_copy_of_a_simulator_steps_like_the_original(copied):
 
 
 DOUBLED = """
-from carrl.sim.machine_code import compiled
+from carrl.machine_code import compiled
 @compiled
 def doubled(value):
     return 2 * value

@@ -22,7 +22,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there i
 def make_pipeline(*overrides):
     """A pipeline whose buffer holds 800 transitions."""
     soft = any(override.startswith(("target_updater=", "loss=sac", "loss=td3", "loss=ddpg")) for override in overrides)
-    period = [] if soft else ["target_updater.period=50"]
+    period = [] if soft or any("period" in o for o in overrides) else ["target_updater.period=50"]
     pipeline = build_pipeline(compose("seed=1", "env.num_envs=32", *period, *overrides))
     replicates = len(pipeline.algorithm.replicates)
     for _, batch in zip(range(25), pipeline.source.collector, strict=False):
@@ -48,23 +48,24 @@ def updated(pipeline, count=200):
 
 
 TWO = ("loss=double_dqn", "trainer.seeds=[1,2]")
+FEATURES = (
+    ("loss=dqn", "replay_buffer.batch_size=37", "network.hidden_sizes=[5]"),
+    ("loss=huber", "gradient_clipping.max_norm=10", "learning_rate=linear", "learning_rate.updates=100"),
+    ("loss=advantage_learning", "returns.steps=3", "network.input_exponent=0.5", "target_updater=soft"),
+    ("loss=cql", "network.hidden_sizes=[]", "vehicle=kinematic", "action=table"),
+)
+"""Of updates that have machine code of their own."""
+OTHERS = (
+    ("loss=dqn", "network=noisy", "replay_buffer=prioritized", "returns.steps=3", "target_updater=soft"),
+    ("loss=distributional", "gradient_clipping.max_norm=10", "learning_rate=linear", "learning_rate.updates=100"),
+    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping.max_norm=10"),
+)
+"""Updates that only Inductor compiles."""
 
 
-@pytest.fixture(scope="module")
-def two_compiled():
-    """A pipeline of two replicates after 200 compiled updates, and their losses."""
-    pipeline = make_pipeline(*TWO, "compile=true")
-    losses = updated(pipeline)
-    assert pipeline.learner.state_dict()["kind"] == "compiled"
-    return pipeline, losses
-
-
-@needs_compiler
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_200_compiled_updates_equal_200_eager_ones(two_compiled):
-    (compiled, losses), eager = two_compiled, make_pipeline(*TWO)
-    torch.testing.assert_close(losses, updated(eager), rtol=1e-5, atol=0)
+def assert_learns_as_eagerly(compiled, eager, updates=200):
+    """Whether both find the same losses, and have the same networks in the end."""
+    torch.testing.assert_close(updated(compiled, updates), updated(eager, updates), rtol=1e-5, atol=0)
     for ours, theirs in zip(compiled.algorithm.replicates, eager.algorithm.replicates, strict=True):
         for name in ("value_network_params", "target_value_network_params"):
             tensors = (getattr(replicate.loss, name).values(True, True) for replicate in (ours, theirs))
@@ -72,81 +73,99 @@ def test_200_compiled_updates_equal_200_eager_ones(two_compiled):
                 assert ((fused - plain).norm() / plain.norm()).item() < 1e-5
 
 
-EVERYTHING = (
-    ("loss=dqn", "network=noisy", "replay_buffer=prioritized", "returns.steps=3", "target_updater=soft"),
-    ("loss=distributional", "gradient_clipping.max_norm=10", "learning_rate=linear", "learning_rate.updates=100"),
-    ("loss=dueling", "loss.loss_function=smooth_l1", "gradient_clipping.max_norm=10"),
-    ("loss=advantage_learning", "replay_buffer=prioritized"),
-)
+def assert_same_weights(together, index, alone):
+    pairs = zip(together.algorithm.networks[index].parameters(), alone.algorithm.networks[0].parameters(), strict=True)
+    assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
 
 
-def assert_same_numbers(overrides, caplog):
-    """Whether 60 updates of two replicates find the same losses, compiled and eagerly."""
+@pytest.mark.parametrize("overrides", [TWO, *((*each, "trainer.seeds=[1,2]") for each in FEATURES)], ids=" ".join)
+def test_200_updates_by_machine_code_equal_200_eager_ones(overrides):
+    compiled = make_pipeline(*overrides, "compile=true")
+    assert_learns_as_eagerly(compiled, make_pipeline(*overrides))
+    assert compiled.learner.state_dict()["kind"] == "machine code"
+
+
+def test_machine_code_learns_from_weighted_transitions_as_eagerly():
+    overrides = ("loss=advantage_learning", "replay_buffer=prioritized", *TWO[1:])
+    compiled, eager = make_pipeline(*overrides, "compile=true"), make_pipeline(*overrides)
+    torch.testing.assert_close(updated(compiled, 40), updated(eager, 40), rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("overrides", [TWO[:1], FEATURES[1], ("replay_buffer=prioritized",)], ids=" ".join)
+def test_by_machine_code_together_and_alone_many_at_once_and_each_for_itself_the_weights_are_the_same(overrides):
+    together = make_pipeline(*overrides, "trainer.seeds=[1,2]", "compile=true")
+    together.learner.learn(120)
+    for index, seed in enumerate((1, 2)):
+        alone = make_pipeline(*overrides, f"seed={seed}", "compile=true")
+        for frames in [1] * 20 + [20] * 5:
+            alone.learner.learn(frames)
+        assert_same_weights(together, index, alone)
+
+
+def test_large_networks_are_compiled_where_there_is_a_compiler(monkeypatch, traced):
+    large = ("network.hidden_sizes=[128,128]", "compile=true")
+    compiled = make_pipeline(*large)
+    compiled.learner.learn(2)
+    assert compiled.learner.state_dict()["kind"] == "compiled"
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    machine = make_pipeline(*large)
+    machine.learner.learn(2)
+    assert machine.learner.state_dict()["kind"] == "machine code"
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_an_update_that_is_given_noise_and_weights_is_compiled_and_kept_between_runs(caplog):
+    caplog.set_level(logging.WARNING)
+    overrides = (*OTHERS[0], "trainer.seeds=[1,2]")
+    eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
+    torch.testing.assert_close(updated(compiled, 60), updated(eager, 60), rtol=1e-3, atol=0)
+    assert not any("eagerly" in message for message in messages(caplog))
+    assert list(cache_dir().glob("*.pt2"))
+    caplog.clear()
+    again = make_pipeline(*overrides, "compile=true")
+    updated(again, count=60)
+    assert messages(caplog) == []
+    for ours, theirs in zip(again.algorithm.networks, compiled.algorithm.networks, strict=True):
+        assert all(map(torch.equal, ours.parameters(), theirs.parameters()))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("overrides", OTHERS[1:], ids=" ".join)
+def test_whatever_an_update_is_made_with_it_is_traced_with_the_same_numbers(overrides, traced, caplog):
     overrides = (*overrides, "trainer.seeds=[1,2]")
     eager, compiled = make_pipeline(*overrides), make_pipeline(*overrides, "compile=true")
     torch.testing.assert_close(updated(compiled, 60), updated(eager, 60), rtol=1e-3, atol=0)
     assert not any("eagerly" in message for message in messages(caplog))
 
 
-@needs_compiler
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_an_update_that_is_given_noise_and_weights_is_compiled_with_the_same_numbers(caplog):
-    assert_same_numbers(EVERYTHING[0], caplog)
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("overrides", EVERYTHING[1:], ids=" ".join)
-def test_whatever_an_update_is_made_with_it_is_traced_with_the_same_numbers(overrides, traced, caplog):
-    assert_same_numbers(overrides, caplog)
-
-
-@pytest.mark.parametrize("overrides", EVERYTHING, ids=" ".join)
+@pytest.mark.parametrize("overrides", [*OTHERS, FEATURES[2]], ids=" ".join)
 def test_whatever_an_update_is_made_with_together_and_alone_the_weights_are_the_same_bit_for_bit(overrides):
     together = make_pipeline(*overrides, "trainer.seeds=[1,2]")
     together.learner.learn(5)
     for index, seed in enumerate((1, 2)):
         alone = make_pipeline(*overrides, f"seed={seed}")
         alone.learner.learn(5)
-        pairs = zip(
-            together.algorithm.networks[index].parameters(),
-            alone.algorithm.networks[0].parameters(),
-            strict=True,
-        )
-        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
+        assert_same_weights(together, index, alone)
 
 
 @needs_compiler
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit(two_compiled):
-    together, _ = two_compiled
+def test_compiled_together_or_alone_the_weights_are_the_same_bit_for_bit():
+    together = make_pipeline("loss=dueling", "trainer.seeds=[1,2]", "compile=true")
+    together.learner.learn(200)
     for index, seed in enumerate((1, 2)):
-        alone = make_pipeline("loss=double_dqn", f"seed={seed}", "compile=true")
+        alone = make_pipeline("loss=dueling", f"seed={seed}", "compile=true")
         alone.learner.learn(200)
-        pairs = zip(
-            together.algorithm.networks[index].parameters(),
-            alone.algorithm.networks[0].parameters(),
-            strict=True,
-        )
-        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
+        assert_same_weights(together, index, alone)
 
 
-@needs_compiler
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.usefixtures("two_compiled")
-def test_compiled_code_is_kept_between_runs(caplog):
-    caplog.set_level(logging.WARNING)
-    updated(make_pipeline(*TWO, "compile=true"), count=2)
-    assert messages(caplog) == []
-    assert list(cache_dir().glob("*.pt2"))
-
-
-def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, caplog):
+def test_without_a_compiler_other_updates_are_eager_and_one_line_says_so(monkeypatch, caplog):
     monkeypatch.setenv("CXX", "no-such-compiler")
-    losses = updated(make_pipeline("compile=true"), count=5)
-    assert torch.equal(losses, updated(make_pipeline(), count=5))
+    losses = updated(make_pipeline("loss=dueling", "compile=true"), count=5)
+    assert torch.equal(losses, updated(make_pipeline("loss=dueling"), count=5))
     (message,) = messages(caplog)
     assert "cannot be compiled: no C++ compiler is installed" in message
 
@@ -154,7 +173,7 @@ def test_without_a_compiler_updates_are_eager_and_one_line_says_so(monkeypatch, 
 @pytest.mark.parametrize("becomes", ["itself", "an error", "nothing"])
 def test_an_interrupted_compilation_is_not_replaced_by_eager_updates(becomes, monkeypatch, caplog):
     """Whatever torch and torchrl make of the KeyboardInterrupt that a signal's handler raises in them."""
-    learner = make_pipeline("compile=true").learner
+    learner = make_pipeline("loss=dueling", "compile=true").learner
 
     def compile_interrupted(*_):
         try:
@@ -219,6 +238,6 @@ def test_code_is_not_loaded_from_a_folder_that_others_can_write_to(tmp_path, mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     cache_dir().mkdir()
     cache_dir().chmod(0o777)
-    updated(make_pipeline("compile=true"), count=2)
+    updated(make_pipeline("loss=dueling", "compile=true"), count=2)
     assert "can be written by others; remove it" in caplog.text
     assert list(cache_dir().iterdir()) == []

@@ -202,8 +202,7 @@ def test_plans_that_allow_nothing_are_refused():
         OfflinePlan([], 1)
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_200_traced_updates_with_cql_equal_200_eager_ones(log_path, traced, caplog):
+def test_200_updates_with_cql_by_machine_code_equal_200_eager_ones(log_path, caplog):
     overrides = ("loss=cql", "trainer.seeds=[1,2]", "target_updater.period=50", "optimizer.lr=1e-3")
     eager, compiled = build(log_path, *overrides), build(log_path, *overrides, "compile=true")
     for _ in range(200):

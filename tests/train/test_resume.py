@@ -23,8 +23,6 @@ from tests.stopped_runs import (
     train,
 )
 
-needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler to compile with")
-
 
 @pytest.fixture(scope="module")
 def never_stopped(tmp_path_factory):
@@ -39,10 +37,7 @@ def test_a_resumed_run_is_the_run_never_stopped_bit_for_bit(frames, never_stoppe
     assert_same_state(state_of(run), state_of(never_stopped))
 
 
-@needs_compiler
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_a_resumed_run_with_compiled_updates_is_the_run_never_stopped_bit_for_bit(tmp_path, monkeypatch):
+def test_a_resumed_run_with_updates_by_machine_code_is_the_run_never_stopped_bit_for_bit(tmp_path, monkeypatch):
     """Stopped before the first update, which the resumed run compiles, and between two copies of the network."""
     whole = train(tmp_path / "whole", *TINY)
     before, between = MOMENTS["before the first update"], MOMENTS["between two copies of the network"]

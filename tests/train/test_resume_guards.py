@@ -331,13 +331,15 @@ def without_compiler(monkeypatch):
 
 def test_the_state_says_how_updates_were_made(made, tmp_path, without_compiler):
     assert load_state(made / "finished")["learner"]["kind"] == "eager"
-    fallen_back = train(tmp_path / "run", *[each for each in SHORT if each != "compile=false"])
+    default = [each for each in SHORT if each != "compile=false"]
+    assert load_state(train(tmp_path / "default", *default))["learner"]["kind"] == "machine code"
+    fallen_back = train(tmp_path / "run", *default, "loss=dueling")
     assert load_state(fallen_back)["learner"]["kind"] == "eager"
 
 
 def test_a_run_that_goes_on_with_the_other_kind_of_update_says_so(tmp_path, monkeypatch, without_compiler, caplog):
     overrides = [each for each in SHORT if each != "compile=false"]
-    run = interrupted(monkeypatch, tmp_path / "run", 120, *overrides)
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *overrides, "loss=dueling")
     state = state_of(run)
     state["learner"]["kind"] = "compiled"  # as on a machine with a compiler
     save_checkpoint(run / STATE, state)

@@ -4,6 +4,7 @@ Shapes: `A` replicates, `N` transitions of a minibatch.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -13,6 +14,9 @@ from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 
 from carrl.algorithms.algorithm import FunctionalUpdate, Tree, UpdateResult
 from carrl.algorithms.common.native import CompilationError, compile_native
+
+_ALIGNMENT = 16
+"""Of tensors, in numbers of 4 bytes."""
 
 
 class CompiledUpdate:
@@ -101,9 +105,44 @@ def stack_in_place(tensors: Sequence[Tensor]) -> Tensor:
     return stacked
 
 
+def stack_side_by_side(rows: Sequence[Sequence[Tensor]]) -> tuple[Tensor, list[int]]:
+    """The stacks of several tensors in one piece of memory, as `stack_in_place` makes each of them.
+
+    Args:
+        rows: the tensors of each replicate, alike from one to the next.
+
+    Returns:
+        The memory, [M], and where in it each stack begins: as torch aligns tensors, the rest is padding. Stacks that
+        lie so already stay where they are.
+    """
+    tensors = list(zip(*rows, strict=True))
+    sizes = [len(rows) * each[0].numel() for each in tensors]
+    begins = [0, *accumulate(-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes)]
+    first = tensors[0][0]
+    total, begin = begins.pop(), first.storage_offset()
+    lie_so = all(
+        own.is_contiguous() and _shares_memory(own, first) and own.storage_offset() == begin + place + row * own.numel()
+        for each, place in zip(tensors, begins, strict=True)
+        for row, own in enumerate(each)
+    )
+    if lie_so and first.untyped_storage().nbytes() >= (begin + total) * first.element_size():
+        return first.detach().as_strided((total,), (1,)), begins
+    memory = first.detach().new_zeros(total)
+    for each, place, size in zip(tensors, begins, sizes, strict=True):
+        stacked = memory[place : place + size].view(len(rows), *each[0].shape)
+        for own, row in zip(each, stacked, strict=True):
+            row.copy_(own.detach())
+            own.data = row
+    return memory, begins
+
+
+def _shares_memory(one: Tensor, other: Tensor) -> bool:
+    return one.untyped_storage().data_ptr() == other.untyped_storage().data_ptr()
+
+
 def _is_row(tensor: Tensor, first: Tensor, row: int) -> bool:
     return (
         tensor.is_contiguous()
-        and tensor.untyped_storage().data_ptr() == first.untyped_storage().data_ptr()
+        and _shares_memory(tensor, first)
         and tensor.storage_offset() == first.storage_offset() + row * first.numel()
     )

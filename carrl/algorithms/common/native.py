@@ -57,7 +57,7 @@ def compile_native(function: Callable[..., Any], inputs: Sequence[Tensor]) -> Na
     Raises:
         CompilationError: there is no C++ compiler, or the function cannot be traced or compiled.
     """
-    if shutil.which(os.environ.get("CXX", "g++")) is None:
+    if not has_compiler():
         raise CompilationError("no C++ compiler is installed; install g++, or set CXX")
     try:
         cache = open_cache()
@@ -69,6 +69,11 @@ def compile_native(function: Callable[..., Any], inputs: Sequence[Tensor]) -> Na
         raise CompilationError(str(error)) from error
     except Exception as error:  # tracer, exporter, compiler and loader each have errors of their own
         raise CompilationError(f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}") from error
+
+
+def has_compiler() -> bool:
+    """Whether there is the C++ compiler that torch would call."""
+    return shutil.which(os.environ.get("CXX", "g++")) is not None
 
 
 def _load_kept(cache: Path, fingerprint: str) -> NativeFunction | None:

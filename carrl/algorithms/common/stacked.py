@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from carrl.algorithms.common.compiled_update import stack_in_place
+from carrl.algorithms.common.compiled_update import stack_in_place, stack_side_by_side
 from carrl.algorithms.common.network import Power
 
 
@@ -26,6 +26,7 @@ class StackedLayers(nn.Module):
     def __init__(self, layers: Sequence[nn.Module]) -> None:
         super().__init__()
         parameters = [dict(each.named_parameters()) | dict(each.named_buffers()) for each in layers]
+        stack_side_by_side([list(of_one.values()) for of_one in parameters])
         self._stacked = {name: stack_in_place([of_one[name] for of_one in parameters]) for name in parameters[0]}
         self.layers = layers[0]  # whose values the stacked ones replace
         self.replicates = len(layers)

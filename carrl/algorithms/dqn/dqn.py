@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -14,8 +15,17 @@ from torch.func import grad_and_value
 from torchrl.data import Categorical
 from torchrl.objectives import DQNLoss
 
-from carrl.algorithms.algorithm import Algorithm, Figures, FunctionalUpdate, Policy, Tree, UpdateResult
+from carrl.algorithms.algorithm import (
+    Algorithm,
+    Figures,
+    FunctionalUpdate,
+    ManyUpdates,
+    Policy,
+    Tree,
+    UpdateResult,
+)
 from carrl.algorithms.common.measuring import thinned
+from carrl.algorithms.common.native import CompilationError, has_compiler
 from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.common.optimizer import Adam, GradientClipping, LearningRateDecay, SoftTargetUpdate, TargetUpdater
 from carrl.algorithms.common.parts import check_parts
@@ -23,6 +33,7 @@ from carrl.algorithms.common.stand_ins import standing_in
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import ConservativeDQNLoss
 from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyActions, GreedyPolicy, value_column
+from carrl.algorithms.dqn.update import MOST_WEIGHTS, MachineUpdates, weights_of
 from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.log.schema import Column
@@ -143,6 +154,30 @@ class DQN(Algorithm):
 
         constants = [{}] * len(self.replicates) if one.noise else [_buffers_of(each.loss) for each in self.replicates]
         return [FunctionalUpdate(function, [_state_of(each) for each in self.replicates], constants, self._inputs)]
+
+    def machine_code(self, memory: Mapping[Any, Tensor], batch_size: int) -> ManyUpdates:
+        """The same for networks of linear layers with ReLU between them, and losses of values that are points."""
+        one = self.replicates[0]
+        if weights_of(one.network) > MOST_WEIGHTS and has_compiler():
+            raise CompilationError("a C++ compiler makes faster code for so large a network")
+        adam = Adam.of(one.optimizer)
+        updates = MachineUpdates(
+            one.network,
+            one.loss,
+            [_state_of(each) for each in self.replicates],
+            adam=adam,
+            clipping=one.clipping,
+            tau=1 - one.target_updater.eps if isinstance(one.target_updater, SoftTargetUpdate) else 0.0,
+            memory=memory,
+            batch_size=batch_size,
+        )
+        rate, decay = self._rates[0][0], one.learning_rate
+
+        def make(first: int, items: Tensor, weights: Tensor | None) -> UpdateResult:
+            shares = [decay.share(number) if decay else 1.0 for number in range(first, first + len(items))]
+            return updates(items, weights, rate * np.array(shares))
+
+        return make
 
     def _inputs(self) -> list[Tree]:
         """Learning rates that change, and the noise of weights."""
