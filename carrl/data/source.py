@@ -7,7 +7,7 @@ Shapes: `A` replicates, `N` cars of each, `B` = A * N cars in all, `T` steps of 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,12 +148,13 @@ class Round(NamedTuple):
 
     Attributes:
         steps: of each replicate; as many updates are due, unless several steps share one.
-        transitions: that were collected, in the order of time, [F, A]; None where all are in the memory already.
+        transitions: gives those that were collected, with some of their keys, in the order of time, [F, A]; None where
+            all are in the memory already.
         episodes: of each replicate that ended.
     """
 
     steps: int
-    transitions: TensorDictBase | None
+    transitions: Callable[[Sequence[Any]], TensorDictBase] | None
     episodes: list[list[Episode]]
 
 
@@ -234,14 +235,19 @@ class Simulated(Source):
             self._batches = iter(self.collector)
         batch = next(self._batches)
         ended = self._tracker.follow(batch)
-        # [A * N, T] to [T, N, A]: an item of the buffer is one transition of each replicate.
-        by_time = batch.view(self._replicates, -1, batch.shape[1]).permute(2, 1, 0)
-        transitions = by_time.select(*KEYS)
+        transitions = self._by_time(batch.select(*KEYS))
         kept = transitions if self.returns is None else self.returns(transitions)
         if len(kept):
             self._buffer.extend(kept.flatten(0, 1))
-        collected = by_time.flatten(0, 1)
-        return Round(len(collected), collected, ended)
+        return Round(
+            steps=len(transitions) * self.cars,
+            transitions=lambda keys: self._by_time(batch.select(*keys)).flatten(0, 1),
+            episodes=ended,
+        )
+
+    def _by_time(self, batch: TensorDictBase) -> TensorDictBase:
+        """[A * N, T] to [T, N, A]: an item of the buffer is one transition of each replicate."""
+        return batch.view(self._replicates, -1, batch.shape[1]).permute(2, 1, 0)
 
     def state_dict(self) -> dict[str, Any]:
         """Where cars, episodes and random numbers stand, and what is in the memory."""

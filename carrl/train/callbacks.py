@@ -82,7 +82,7 @@ class Recorder(Callback):
         if not self._keys:
             schema = log_schema(trainer.source.env.task, trainer.algorithm.log_columns)
             self._keys = list(dict.fromkeys([*schema.keys, *KEYS]))  # the columns, and what the loss reads besides
-        self._waiting.append(batch.transitions.select(*self._keys).clone())
+        self._waiting.append(batch.transitions(self._keys).clone())
         if trainer.frames - self._logged >= LOGGED_TOGETHER or time.monotonic() >= self._logged_at + LOGGED_WITHIN_S:
             self.on_flush(trainer)
         if trainer.learner.learns_for_the_first_time:  # half a minute, in which a kill would lose them

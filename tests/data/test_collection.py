@@ -3,11 +3,16 @@
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torchrl.collectors import Collector as TorchRLCollector
 
-from carrl.data.collector import make_collector
+from carrl.data.collector import CarCollector, make_collector
 from carrl.data.replay_buffer import KEYS, make_replay_buffer
 from carrl.env.track_env import TrackEnv
 from carrl.errors import ConfigError
+from carrl.opponents.rule import RuleOpponents
+from carrl.sim.sensor import Sensor
+from carrl.task.task import Start
 
 
 def numbered_transitions(first, count, replicates=1):
@@ -94,3 +99,43 @@ def test_collected_steps_continue_across_batches_and_episodes():
 def test_an_empty_batch_of_steps_is_refused():
     with pytest.raises(ConfigError, match="steps_per_batch is 0"):
         make_collector(0, env=TrackEnv(), policy=lambda state: state)
+
+
+def batches(collector_class, env, steps):
+    """Twelve batches of cars that a policy drives which does the next action in each step."""
+    policy = TensorDictModule(lambda step: step % 3, in_keys=["step"], out_keys=["action"])
+    collector = collector_class(
+        env,
+        policy,
+        frames_per_batch=steps * env.batch_size[0],
+        total_frames=-1,
+        trust_policy=True,
+        track_traj_ids=False,
+        auto_register_policy_transforms=False,
+    )
+    return [batch.clone() for _, batch in zip(range(12), collector, strict=False)]
+
+
+@pytest.mark.parametrize("steps", [1, 4])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"start": Start(anywhere=True), "sensor": Sensor(noise=0.1), "seed": [3, 7]},
+        {"start": Start(anywhere=True), "cars_per_world": 3},
+        {"cars_per_world": 3, "opponents": RuleOpponents(pace=0.5), "seed": 1},
+    ],
+    ids=["from the line", "anywhere", "among learners", "among opponents"],
+)
+def test_batches_are_those_of_torchrls_own_collector_and_reset(options, steps, monkeypatch):
+    def make_env():
+        return TrackEnv("oval", num_envs=6, max_steps=9, **({"seed": 3} | options))
+
+    own = batches(CarCollector, make_env(), steps)
+    monkeypatch.delattr(TrackEnv, "step_and_maybe_reset")
+    theirs = batches(TorchRLCollector, make_env(), steps)
+    assert any(batch["next", "done"].any() for batch in own)
+    for ours, plain in zip(own, theirs, strict=True):
+        assert ours.batch_size == plain.batch_size
+        assert set(ours.keys(True, True)) == set(plain.keys(True, True))
+        assert (ours == plain).all()
