@@ -69,6 +69,7 @@ class CarCollector(SyncDataCollector):
     """
 
     may_break_off = False
+    _carrier: TensorDictBase
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """One batch after the other; none is changed later, so that there is no need to copy them as TorchRL does."""
