@@ -141,7 +141,7 @@ class _Moment(Rows):
     """What is kept of each moment of a rollout, [B, ...]; of several moments [T, B, ...]."""
 
     cars: CarState
-    near_wall: Tensor
+    ranges: Tensor
     collided: Tensor
     ended: Tensor
     reward_terms: Tensor
@@ -191,18 +191,19 @@ def rollout(
     if recorder is not None:
         recorder.begin(task, policy)
     moments = [_first_moment(task, state.last_action, cars)]
+    may_stand_still = _has_speed(simulator)
     driving, last_gate = torch.ones_like(cars.next_gate, dtype=torch.bool), torch.zeros_like(cars.next_gate)
     for step in range(1, int(limits.max()) + 1):
         action = policy(observation)
         before, after, drove = (state, observation, action), task.step(state, action), driving
         state, observation = after.state, after.observation
         outcome = after.outcome
-        near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(outcome.ranges))
         ended = outcome.collided | after.terminated
         passing = counter.step(outcome) if counter else None
-        moments.append(_Moment(outcome.cars, near_wall, outcome.collided, ended, after.reward_terms, action, passing))
-        last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
-        limits = torch.where(driving & (step - last_gate >= patience), step, limits)
+        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, ended, after.reward_terms, action, passing))
+        if may_stand_still:
+            last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
+            limits = torch.where(driving & (step - last_gate >= patience), step, limits)
         has_lapped = simulator.has_lapped(outcome.cars, laps)
         has_come_round = timing.has_ended(moments[-2].cars, outcome.cars, has_lapped)
         driving = driving & ~(ended | has_come_round) & (step < limits)
@@ -216,8 +217,9 @@ def rollout(
 def _first_moment(task: Task, action: Tensor, cars: CarState) -> _Moment:
     terms = cars.state.new_zeros(len(action), len(task.reward.term_names))
     nothing = torch.zeros_like(cars.next_gate, dtype=torch.bool)
+    ranges = cars.state.new_zeros(len(action), task.simulator.sensor.rays)
     passing = Passing.none(cars) if cars.others else None
-    return _Moment(cars, nothing, nothing, nothing, terms, action, passing)
+    return _Moment(cars, ranges, nothing, nothing, terms, action, passing)
 
 
 def time_limits(simulator: Simulator, cars: CarState) -> Tensor:
@@ -266,6 +268,7 @@ def _sum_up(
     lengths = torch.where(ended.any(0), ended.int().argmax(0), limits).minimum(limits)
     last = course.cars[lengths, torch.arange(len(lengths), device=lengths.device)]
     lap_reward, steering_reward = _earned(course, task)
+    near_wall = task.reward.near_wall.is_near_wall(simulator.sensor.readings(course.ranges))
     steer = task.steer(course.action.flatten(0, 1)).view(course.collided.shape)
     progress = _progress(simulator, last, stations, laps).tolist()
     lapped = simulator.has_lapped(last, laps).tolist()
@@ -279,8 +282,7 @@ def _sum_up(
         steps = end - begin
         motion = _motion(course.cars[begin : end + 1, car], simulator)
         distance = steps * simulator.vehicle.step_length if motion["distance"] is None else motion["distance"]
-        near_wall = course.near_wall[begin + 1 : end + 1, car]
-        near_wall_share = near_wall.double().mean().item() if task.reward.proximity else None
+        near_wall_share = near_wall[begin + 1 : end + 1, car].double().mean().item() if task.reward.proximity else None
         drives.append(
             Rollout(
                 start=stations[car].item(),
