@@ -156,7 +156,10 @@ def _torch() -> Finding:
 def _compiler() -> Finding:
     """Whether a C++ compiler compiles, with what updates need of it."""
     name = os.environ.get("CXX", "g++")
-    remedy = "install g++, such as apt install g++, or set CXX; until then updates run eagerly, many times slower"
+    remedy = (
+        "install g++, such as apt install g++, or set CXX; until then updates of actors and critics, and of dueling, "
+        "noisy and distributional networks, run eagerly, many times slower"
+    )
     path = shutil.which(name)
     if path is None:
         return Finding("compiler", "missing", f"{name} is not installed", remedy)

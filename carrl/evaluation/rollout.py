@@ -200,7 +200,9 @@ def rollout(
         outcome = after.outcome
         ended = outcome.collided | after.terminated
         passing = counter.step(outcome) if counter else None
-        moments.append(_Moment(outcome.cars, outcome.ranges, outcome.collided, ended, after.reward_terms, action, passing))
+        moments.append(
+            _Moment(outcome.cars, outcome.ranges, outcome.collided, ended, after.reward_terms, action, passing)
+        )
         if may_stand_still:
             last_gate = torch.where(outcome.gates_passed > 0, step, last_gate)
             limits = torch.where(driving & (step - last_gate >= patience), step, limits)

@@ -7,11 +7,12 @@ from dataclasses import replace
 import pytest
 import torch
 from torch.fx.experimental.proxy_tensor import make_fx
+from torchrl.objectives import DQNLoss
 
 from carrl.algorithms.common.native import CompilationError, _fingerprint
 from carrl.algorithms.dqn.dqn import DQN
 from carrl.cache import cache_dir
-from carrl.data.replay_buffer import KEYS
+from carrl.data.replay_buffer import KEYS, memory_of
 from carrl.train.build import build_pipeline
 from carrl.train.learner import Learner
 from tests.configs import compose
@@ -103,7 +104,7 @@ def test_by_machine_code_together_and_alone_many_at_once_and_each_for_itself_the
 
 
 def test_large_networks_are_compiled_where_there_is_a_compiler(monkeypatch, traced):
-    large = ("network.hidden_sizes=[128,128]", "compile=true")
+    large = ("network.hidden_sizes=[256,128]", "compile=true")
     compiled = make_pipeline(*large)
     compiled.learner.learn(2)
     assert compiled.learner.state_dict()["kind"] == "compiled"
@@ -111,6 +112,32 @@ def test_large_networks_are_compiled_where_there_is_a_compiler(monkeypatch, trac
     machine = make_pipeline(*large)
     machine.learner.learn(2)
     assert machine.learner.state_dict()["kind"] == "machine code"
+
+
+class OwnLoss(DQNLoss):
+    """A user's, which may compute anything."""
+
+
+def absolute(network):
+    loss = DQNLoss(network, loss_function="l1", delay_value=True, action_space="categorical")
+    loss.make_value_estimator(gamma=0.9)
+    return loss
+
+
+def of_my_own(network):
+    loss = OwnLoss(network, loss_function="l2", delay_value=True, action_space="categorical")
+    loss.make_value_estimator(gamma=0.9)
+    return loss
+
+
+@pytest.mark.parametrize("make_loss", [absolute, of_my_own])
+def test_a_loss_of_another_kind_has_no_machine_code(make_loss):
+    pipeline = make_pipeline()
+    (replicate,) = pipeline.algorithm.replicates
+    replicate = replace(replicate, loss=make_loss(replicate.network))
+    algorithm = DQN([replicate], pipeline.algorithm.exploration, pipeline.world.action.names)
+    with pytest.raises(CompilationError, match="the loss"):
+        algorithm.machine_code(memory_of(pipeline.replay_buffer), 8)
 
 
 @needs_compiler

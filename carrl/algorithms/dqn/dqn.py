@@ -33,7 +33,7 @@ from carrl.algorithms.common.stand_ins import standing_in
 from carrl.algorithms.common.weight_noise import WeightNoise, is_noisy
 from carrl.algorithms.dqn.loss import ConservativeDQNLoss
 from carrl.algorithms.dqn.policy import EpsilonGreedy, ExploringPolicy, GreedyActions, GreedyPolicy, value_column
-from carrl.algorithms.dqn.update import MOST_WEIGHTS, MachineUpdates, weights_of
+from carrl.algorithms.dqn.update import MOST_WEIGHTS, MachineUpdates, check_plain, weights_of
 from carrl.config import build_node
 from carrl.errors import ConfigError
 from carrl.log.schema import Column
@@ -160,6 +160,7 @@ class DQN(Algorithm):
         one = self.replicates[0]
         if weights_of(one.network) > MOST_WEIGHTS and has_compiler():
             raise CompilationError("a C++ compiler makes faster code for so large a network")
+        check_plain(one.network, one.loss)
         adam = Adam.of(one.optimizer)
         updates = MachineUpdates(
             one.network,

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torchrl.objectives import DQNLoss
+from torchrl.objectives.value import TD0Estimator
 
 from carrl.algorithms.algorithm import Tree, UpdateResult
 from carrl.algorithms.common.compiled_update import stack_side_by_side
@@ -22,7 +23,7 @@ from carrl.algorithms.dqn.update_kernel import Memory, Parameters, Rule, make_wo
 
 _STEPS = "steps_to_next_obs"
 _LOSSES = (DQNLoss, AdvantageLearningLoss, ConservativeDQNLoss)
-MOST_WEIGHTS = 16_384
+MOST_WEIGHTS = 32_768
 """Of a network that is updated by machine code even where there is a C++ compiler, whose matrix products of larger ones
 are faster."""
 
@@ -57,8 +58,6 @@ class MachineUpdates:
         batch_size: int,
     ) -> None:
         """Compiles at once, unless that was done before."""
-        if type(loss) not in _LOSSES:
-            raise CompilationError(f"the loss is {type(loss).__name__}")
         names, exponent = _linear_layers(network.layers)
         keys = [
             next(key for key in state[0]["network"] if key[-2:] == (name, kind))
@@ -128,6 +127,17 @@ class MachineUpdates:
 def weights_of(network: QNetwork) -> int:
     """How many numbers a network has learnt."""
     return sum(parameter.numel() for parameter in network.parameters())
+
+
+def check_plain(network: QNetwork, loss: DQNLoss) -> None:
+    """Raises CompilationError for parts of a user's own, and for what TorchRL's loss can do besides."""
+    if type(network) is not QNetwork or type(loss) not in _LOSSES:
+        raise CompilationError(f"the network is a {type(network).__name__}, the loss a {type(loss).__name__}")
+    estimator = loss.value_estimator
+    plain = loss.loss_function in ("l2", "smooth_l1") and loss.reduction == "mean" and loss.delay_value
+    plain = plain and type(estimator) is TD0Estimator and not estimator.average_rewards
+    if not plain or loss.tensor_keys != DQNLoss.default_keys():
+        raise CompilationError("the loss has options of its own")
 
 
 def _linear_layers(layers: nn.Module) -> tuple[list[str], float]:
