@@ -20,7 +20,6 @@ from tests.racing.laps import oval_lap
 
 FRAMES = 160
 TINY = [
-    "compile=false",
     "track=oval",
     "env.num_envs=8",
     f"trainer.frames={FRAMES}",
