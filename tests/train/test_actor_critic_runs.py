@@ -42,8 +42,7 @@ def compared(overrides, updates=50):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 @pytest.mark.parametrize(
-    ("name", "seeds"),
-    [("ddpg", "[1,2]"), *(pytest.param(name, "[1,2]", marks=pytest.mark.exhaustive) for name in ("td3", "sac"))],
+    ("name", "seeds"), [pytest.param("td3", "[1]", marks=pytest.mark.exhaustive), ("sac", "[1,2]")]
 )
 def test_50_compiled_updates_equal_50_eager_ones(name, seeds, caplog):
     assert compared([*LOSSES[name], f"trainer.seeds={seeds}"]) < 1e-4
@@ -51,7 +50,7 @@ def test_50_compiled_updates_equal_50_eager_ones(name, seeds, caplog):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("name", ["td3", "sac"])
+@pytest.mark.parametrize("name", ["ddpg", "td3"])
 def test_50_traced_updates_equal_50_eager_ones(name, traced, caplog):
     assert compared(LOSSES[name]) < 1e-4
     assert not any("eagerly" in record.message for record in caplog.records)
