@@ -211,9 +211,15 @@ def test_a_compiled_run_that_could_not_be_compiled_is_refused(monkeypatch):
 def test_a_peer_makes_an_update_for_each_env_step_once_there_is_a_minibatch(name, frames, updates):
     if name in SB3 and importlib.util.find_spec("stable_baselines3") is None:
         pytest.skip("stable_baselines3 is not installed; scripts/bench installs it")
-    measured = CONTESTANTS[name].measure(200)
+    measured = PEERS[name](200, 0)
     assert (measured.frames, measured.updates) == (frames, updates)
     assert measured.seconds > 0
+
+
+@pytest.mark.slow
+def test_a_peer_trains_in_a_process_of_its_own():
+    measured = CONTESTANTS["plain-loop"].measure(200)
+    assert (measured.frames, measured.updates) == (200, 73)
 
 
 def test_the_peers_of_the_table_are_those_that_can_be_run():

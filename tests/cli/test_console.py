@@ -5,7 +5,7 @@ import pytest
 from carrl.cli.main import main
 from carrl.cli.text.many_runs import _style_of
 
-SHORT = ["compile=false", "recorder=null", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
+SHORT = ["recorder=null", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
 SHORT += ["vehicle.turn_radius=100"]  # so that no car can lap
 CIRCUITS = ["track=circuits", "track.count=2", "track.validation=3"]
 

@@ -8,7 +8,7 @@ import yaml
 
 from carrl.cli.main import main
 
-TINY = ["compile=false", "env.num_envs=8", "trainer.frames=64", "evaluation.interval=64"]
+TINY = ["env.num_envs=8", "trainer.frames=64", "evaluation.interval=64"]
 WARNING = "warning: 1 of 2 tracks do not suit the car; track 'below/tight.yaml': the bend at "
 
 

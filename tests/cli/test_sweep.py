@@ -91,7 +91,8 @@ def test_another_sweep_into_the_same_folder_is_refused(tmp_path, capsys):
     assert "differs from the checkpoint's in network.hidden_sizes" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.exhaustive)])
 def test_a_signal_ends_a_sweep_with_the_job_in_hand_saved(number, tmp_path):
     overrides = ["compile=false", "track=oval", "seed=0,1", f"hydra.sweep.dir={tmp_path}"]
     command = [*carrl_command(), "train", "-m", *overrides]

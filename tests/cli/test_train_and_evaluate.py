@@ -9,6 +9,7 @@ import time
 
 import pytest
 import yaml
+from PIL import Image
 
 from carrl.cli.main import main
 from carrl.log import load, read_attachment, read_summary
@@ -19,13 +20,17 @@ from tests.racing.laps import oval_lap
 
 FRAMES = 160
 TINY = [
-    "compile=false",
     "track=oval",
     "env.num_envs=8",
     f"trainer.frames={FRAMES}",
     "evaluation.interval=80",
     "replay_buffer.batch_size=16",
 ]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def blank_learning_curves():
+    """Here they are drawn as for a user."""
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +58,13 @@ def test_a_run_leaves_its_results_in_one_folder(run):
         "state.pt",
         "state-previous.pt",
     }
+
+
+def test_a_runs_pictures_have_something_on_them(run):
+    for name in ("lap.png", "learning_curve.png"):
+        with Image.open(run / name) as picture:
+            assert min(picture.size) > 300
+            assert len(picture.convert("RGB").getcolors(2**24)) > 10
 
 
 def test_the_summary_has_the_documented_keys(run):

@@ -13,7 +13,7 @@ from carrl.train.callbacks import Evaluator
 from carrl.train.trainer import Trainer
 from tests.data.logs import METADATA, logged_transitions, write_log
 
-TINY = ["data=log", "data.updates=20", "replay_buffer.batch_size=4", "track=oval", "compile=false"]
+TINY = ["data=log", "data.updates=20", "replay_buffer.batch_size=4", "track=oval"]
 
 
 @pytest.fixture(scope="module")

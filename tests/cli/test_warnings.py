@@ -9,7 +9,7 @@ from tests.cli.log.conftest import write_log
 
 OF_TORCHRL = ("-W", "ignore:Creating :DeprecationWarning")
 """torchrl 0.14 warns of its own deprecated classes while it is imported."""
-TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=160", "replay_buffer.batch_size=16"]
+TINY = ["track=oval", "env.num_envs=8", "trainer.frames=160", "replay_buffer.batch_size=16"]
 
 
 def run_strictly(folder, *arguments):

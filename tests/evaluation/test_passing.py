@@ -91,7 +91,7 @@ def test_a_run_is_evaluated_among_its_opponents(tmp_path):
     from carrl.train.run import train
 
     folder = tmp_path / "run"
-    overrides = ["opponents=line", "env.cars_per_world=3", "trainer.frames=256", "compile=false", "recorder=null"]
+    overrides = ["opponents=line", "env.cars_per_world=3", "trainer.frames=256", "recorder=null"]
     train(overrides=overrides, folder=folder)
     document = Run(folder).evaluate(starts=2)
     assert {"overtakes_per_lap", "contacts_own_per_km"} <= document["all"].keys() & document["all"]["rule"].keys()

@@ -20,7 +20,7 @@ from carrl.task.episode import Start
 from carrl.train.run import train
 
 CARS = 3
-SHORT = ["trainer.frames=2000", "compile=false", "evaluation.interval=100000"]
+SHORT = ["trainer.frames=2000", "evaluation.interval=100000"]
 
 
 @pytest.fixture(scope="module")

@@ -26,22 +26,22 @@ from tests.stopped_runs import (
 
 @pytest.fixture(scope="module")
 def never_stopped(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("never stopped"), *EAGER)
+    return train(tmp_path_factory.mktemp("never stopped"), *TINY)
 
 
 @pytest.mark.parametrize("frames", MOMENTS.values(), ids=MOMENTS.keys())
 def test_a_resumed_run_is_the_run_never_stopped_bit_for_bit(frames, never_stopped, tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", frames, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", frames, *TINY)
     assert main(["train", f"resume={run}"]) == 0
     assert_same_run(run, never_stopped)
     assert_same_state(state_of(run), state_of(never_stopped))
 
 
-def test_a_resumed_run_with_updates_by_machine_code_is_the_run_never_stopped_bit_for_bit(tmp_path, monkeypatch):
-    """Stopped before the first update, which the resumed run compiles, and between two copies of the network."""
-    whole = train(tmp_path / "whole", *TINY)
+def test_a_resumed_run_with_eager_updates_is_the_run_never_stopped_bit_for_bit(tmp_path, monkeypatch):
+    """Stopped before the first update and between two copies of the network."""
+    whole = train(tmp_path / "whole", *EAGER)
     before, between = MOMENTS["before the first update"], MOMENTS["between two copies of the network"]
-    run = interrupted(monkeypatch, tmp_path / "stopped", before, *TINY)
+    run = interrupted(monkeypatch, tmp_path / "stopped", before, *EAGER)
     with monkeypatch.context() as patches:
         stop_at(patches, between)
         assert main(["train", f"resume={run}"]) == 130
@@ -59,10 +59,10 @@ def test_a_resumed_run_with_updates_by_machine_code_is_the_run_never_stopped_bit
         ["recorder.max_file_bytes=1048576", "recorder.every_nth_episode=2"],
         ["returns.steps=3", "collector.steps_per_batch=3"],
         ["replay_buffer=prioritized"],
-        ["network=noisy", "exploration=constant", "exploration.epsilon=0", "trainer.seeds=[3,7]"],
-        ["loss=distributional", "target_updater=soft"],
+        ["network=noisy", "compile=false", "exploration=constant", "exploration.epsilon=0", "trainer.seeds=[3,7]"],
+        ["loss=distributional", "compile=false", "target_updater=soft"],
         ["learning_rate=cosine", "learning_rate.updates=100", "gradient_clipping.max_norm=10", "exploration=linear"],
-        ["loss=dueling", "reward=shaped"],
+        ["loss=dueling", "compile=false", "reward=shaped"],
         ["env.cars_per_world=3", "opponents=line", "observation=traffic", "reward=traffic", "trainer.seeds=[3,7]"],
         ["env.cars_per_world=3", "opponents=rule", "sensor.noise=0.2", "start.anywhere=true"],
         ["env.cars_per_world=2", "observation=traffic", "reward=traffic"],
@@ -70,7 +70,7 @@ def test_a_resumed_run_with_updates_by_machine_code_is_the_run_never_stopped_bit
     ids=" ".join,
 )
 def test_whatever_draws_random_numbers_goes_on_where_it_was(overrides, tmp_path, monkeypatch):
-    shared = [each for each in EAGER if "target_updater=soft" not in overrides or "target_updater" not in each]
+    shared = [each for each in TINY if "target_updater=soft" not in overrides or "target_updater" not in each]
     whole = train(tmp_path / "whole", *shared, *overrides)
     run = interrupted(monkeypatch, tmp_path / "run", 120, *shared, *overrides)
     assert main(["train", f"resume={run}"]) == 0
@@ -80,7 +80,7 @@ def test_whatever_draws_random_numbers_goes_on_where_it_was(overrides, tmp_path,
 
 
 def test_a_run_may_be_stopped_many_times(never_stopped, tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 40, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 40, *TINY)
     for frames in (80, 120, 160):
         with monkeypatch.context() as patches:
             stop_at(patches, frames)
@@ -90,14 +90,14 @@ def test_a_run_may_be_stopped_many_times(never_stopped, tmp_path, monkeypatch):
 
 
 def test_a_finished_run_can_be_extended(never_stopped, tmp_path):
-    run = train(tmp_path / "run", *EAGER, "trainer.frames=120")
+    run = train(tmp_path / "run", *TINY, "trainer.frames=120")
     assert main(["train", f"resume={run}", f"trainer.frames={FRAMES}"]) == 0
     assert_same_run(run, never_stopped)
     assert yaml.safe_load((run / ".hydra" / "config.yaml").read_text())["trainer"]["frames"] == FRAMES
 
 
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
-    run = train(tmp_path / "run", *EAGER, "trainer.frames=40")
+    run = train(tmp_path / "run", *TINY, "trainer.frames=40")
     before = tmp_path / "before"
     shutil.copytree(run, before)
     assert main(["train", f"resume={run}"]) == 0
@@ -105,7 +105,7 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path):
 
 
 def test_learning_from_a_log_is_resumed_bit_for_bit(never_stopped, tmp_path, monkeypatch):
-    overrides = ["data=log", f"data.path={never_stopped / 'train.mcap'}", "data.updates=300", "compile=false"]
+    overrides = ["data=log", f"data.path={never_stopped / 'train.mcap'}", "data.updates=300"]
     overrides += ["replay_buffer.batch_size=32", "loss=cql", "track=oval"]
     whole = train(tmp_path / "whole", *overrides)
     run = tmp_path / "run"
@@ -120,7 +120,7 @@ def test_learning_from_a_log_is_resumed_bit_for_bit(never_stopped, tmp_path, mon
 
 def test_what_was_logged_after_the_state_is_cut_off(never_stopped, tmp_path, monkeypatch):
     """As after kill -9: the log and the tables are further than the checkpoint."""
-    run = interrupted(monkeypatch, tmp_path / "run", 80, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 80, *TINY)
     early = {name: (run / "checkpoints" / name).read_bytes() for name in ("state.pt", "last.pt")}
     with monkeypatch.context() as patches:
         stop_at(patches, 160)
@@ -133,7 +133,7 @@ def test_what_was_logged_after_the_state_is_cut_off(never_stopped, tmp_path, mon
 
 
 def test_a_damaged_checkpoint_is_replaced_by_the_one_before(never_stopped, tmp_path, monkeypatch, caplog):
-    run = interrupted(monkeypatch, tmp_path / "run", 120, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *TINY)
     state = run / "checkpoints" / "state.pt"
     content = bytearray(state.read_bytes())
     middle = len(content) // 2
@@ -146,7 +146,7 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(never_stopped, tmp_p
 
 
 def test_a_log_that_is_not_as_it_was_is_left_alone(tmp_path, monkeypatch, caplog):
-    run = interrupted(monkeypatch, tmp_path / "run", 120, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *TINY)
     damaged = b"my notes"
     (run / "train.mcap").write_bytes(damaged)
     assert main(["train", f"resume={run}"]) == 0
@@ -156,7 +156,7 @@ def test_a_log_that_is_not_as_it_was_is_left_alone(tmp_path, monkeypatch, caplog
 
 
 def test_a_killed_writers_left_overs_are_removed(tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 40, *EAGER, "trainer.frames=80", "trainer.seeds=[3]")
+    run = interrupted(monkeypatch, tmp_path / "run", 40, *TINY, "trainer.frames=80", "trainer.seeds=[3]")
     for place in ("checkpoints", ".hydra", "seed=3", "seed=3/checkpoints", "seed=3/.hydra"):
         (run / place / ".0123.partial").write_bytes(b"half a file")
     assert main(["train", f"resume={run}"]) == 0
@@ -166,7 +166,7 @@ def test_a_killed_writers_left_overs_are_removed(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def stopped_once(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patches:
-        return interrupted(patches, tmp_path_factory.mktemp("stopped") / "run", 56, *EAGER, "trainer.seeds=[3,7]")
+        return interrupted(patches, tmp_path_factory.mktemp("stopped") / "run", 56, *TINY, "trainer.seeds=[3,7]")
 
 
 @pytest.fixture
@@ -234,7 +234,7 @@ def test_a_state_that_no_such_run_can_have_is_refused(break_it, stopped, capsys)
 
 
 def test_a_run_broken_off_before_its_first_checkpoint_begins_anew(never_stopped, tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 0, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 0, *TINY)
     shutil.rmtree(run / "checkpoints")
     (run / "summary.json").unlink()
     assert main(["train", f"resume={run}"]) == 0
@@ -242,7 +242,7 @@ def test_a_run_broken_off_before_its_first_checkpoint_begins_anew(never_stopped,
 
 
 def test_a_run_killed_while_its_first_checkpoint_was_written_begins_anew(never_stopped, tmp_path, monkeypatch):
-    run = interrupted(monkeypatch, tmp_path / "run", 0, *EAGER)
+    run = interrupted(monkeypatch, tmp_path / "run", 0, *TINY)
     (run / "summary.json").unlink()
     for checkpoint in (run / "checkpoints").iterdir():
         checkpoint.unlink()
@@ -262,7 +262,7 @@ def test_a_run_whose_state_was_deleted_is_refused(left, stopped, capsys):
 
 def test_agents_that_ended_at_different_times_cannot_get_more_episodes(tmp_path, capsys):
     limits = ["env.max_steps=40", "trainer.episodes=8", "trainer.frames=100000", "trainer.frames_per_update=8"]
-    overrides = [*EAGER, "env.num_envs=1", "trainer.seeds=[0,1]", *limits]
+    overrides = [*TINY, "env.num_envs=1", "trainer.seeds=[0,1]", *limits]
     run = train(tmp_path / "run", *overrides)
     before = (run / ".hydra" / "config.yaml").read_text()
     assert main(["train", f"resume={run}", "trainer.episodes=9"]) == 2

@@ -15,9 +15,9 @@ from carrl.train.checkpoint import STATE, load_state, save_checkpoint
 from carrl.train.files import CONFIG, load_config
 from carrl.train.resumption import check_contents, progress_of, resume
 from carrl.train.sweep import SweepFolder
-from tests.stopped_runs import EAGER, interrupted, rows, state_of, train
+from tests.stopped_runs import TINY, interrupted, rows, state_of, train
 
-SHORT = [*EAGER, "trainer.frames=160"]
+SHORT = [*TINY, "trainer.frames=160"]
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patches:
         interrupted(patches, place / "stopped", 80, *SHORT, "trainer.seeds=[3,7]")
     data = ["data=log", f"data.path={finished / 'train.mcap'}", "data.updates=20", "replay_buffer.batch_size=32"]
-    train(place / "offline", "track=oval", "compile=false", *data)
+    train(place / "offline", "track=oval", *data)
     return place
 
 
@@ -330,16 +330,14 @@ def without_compiler(monkeypatch):
 
 
 def test_the_state_says_how_updates_were_made(made, tmp_path, without_compiler):
-    assert load_state(made / "finished")["learner"]["kind"] == "eager"
-    default = [each for each in SHORT if each != "compile=false"]
-    assert load_state(train(tmp_path / "default", *default))["learner"]["kind"] == "machine code"
-    fallen_back = train(tmp_path / "run", *default, "loss=dueling")
+    assert load_state(made / "finished")["learner"]["kind"] == "machine code"
+    assert load_state(train(tmp_path / "eager", *SHORT, "compile=false"))["learner"]["kind"] == "eager"
+    fallen_back = train(tmp_path / "run", *SHORT, "loss=dueling")
     assert load_state(fallen_back)["learner"]["kind"] == "eager"
 
 
 def test_a_run_that_goes_on_with_the_other_kind_of_update_says_so(tmp_path, monkeypatch, without_compiler, caplog):
-    overrides = [each for each in SHORT if each != "compile=false"]
-    run = interrupted(monkeypatch, tmp_path / "run", 120, *overrides, "loss=dueling")
+    run = interrupted(monkeypatch, tmp_path / "run", 120, *SHORT, "loss=dueling")
     state = state_of(run)
     state["learner"]["kind"] = "compiled"  # as on a machine with a compiler
     save_checkpoint(run / STATE, state)

@@ -15,7 +15,7 @@ from carrl.train.callbacks import Callback
 from carrl.train.checkpoint import load_checkpoint
 from carrl.train.files import checkpoint_path
 
-TINY = ["track=oval", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80", "compile=false"]
+TINY = ["track=oval", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
 TINY += ["replay_buffer.batch_size=32"]
 
 

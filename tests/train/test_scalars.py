@@ -14,7 +14,7 @@ from carrl.errors import ConfigError
 from carrl.train import scalars as module
 from carrl.train.scalars import Row, Scalars, make_tensorboard
 
-TINY = ["compile=false", "track=oval", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
+TINY = ["track=oval", "env.num_envs=8", "trainer.frames=160", "evaluation.interval=80"]
 TINY += ["env.max_steps=100", "replay_buffer.batch_size=16"]
 
 
