@@ -18,6 +18,8 @@ _GAP = 0.01
 """So far from each other cars stop that would touch, m; more than float32 rounds by on any circuit."""
 _PARALLEL = 0.05
 """Sine of an angle up to which a side that is touched is touched along its length, not by a corner."""
+_UNKNOWN = 2.0
+"""In place of a cosine."""
 _FRONT, _REAR, _LEFT, _RIGHT = 1, 2, 3, 4
 _Touch = tuple[float, float, float, int, float]
 
@@ -66,32 +68,42 @@ def see(
     if walls.shape != (worlds * looking, outline.rays):
         raise ValueError("there must be a distance for each ray of each car that looks")
     ranges, on_car = walls.copy(), np.zeros(walls.shape, np.bool_)
-    work = np.empty((3, outline.fan.shape[1]))
+    work, directions = np.empty((3, outline.fan.shape[1])), np.empty((2, cars))
     half_length, half_width, mount = outline.half_length, outline.half_width, outline.mount
     reach = math.sqrt(half_length**2 + half_width**2)
     sight = (outline.max_range + reach + abs(mount)) ** 2
     for world in range(worlds):
         first = world * cars
+        for car in range(cars):
+            directions[0, car] = _UNKNOWN
         for own in range(looking):
-            row, is_turned, is_ready = world * looking + own, False, False
-            x, y, cos, sin = np.float64(state[first + own, 0]), np.float64(state[first + own, 1]), 1.0, 0.0
+            row, is_ready = world * looking + own, False
+            x, y = np.float64(state[first + own, 0]), np.float64(state[first + own, 1])
             for other in range(cars):
                 dx, dy = state[first + other, 0] - x, state[first + other, 1] - y
                 if not dx * dx + dy * dy < sight or other == own:
                     continue
-                if not is_turned:
-                    heading, is_turned = np.float64(state[first + own, 2]), True
-                    cos, sin = math.cos(heading), math.sin(heading)
+                cos, sin = _direction(state, first, own, directions)
                 dx, dy = dx - mount * cos, dy - mount * sin
                 if outline.looks_ahead and cos * dx + sin * dy < -reach:
                     continue
                 if not is_ready:
                     _begin(outline, cos, sin, work)
                     is_ready = True
-                _cast(dx, dy, np.float64(state[first + other, 2]), half_length, half_width, work)
+                other_cos, other_sin = _direction(state, first, other, directions)
+                _cast(dx, dy, other_cos, other_sin, half_length, half_width, work)
             if is_ready:
                 _finish(ranges[row], on_car[row], work)
     return ranges, on_car
+
+
+@inlined
+def _direction(state: np.ndarray, first: int, car: int, directions: np.ndarray) -> tuple[float, float]:
+    """Cosine and sine of a car's heading, which are computed once: of the world that begins in this row, [2, K]."""
+    if directions[0, car] == _UNKNOWN:
+        heading = np.float64(state[first + car, 2])
+        directions[0, car], directions[1, car] = math.cos(heading), math.sin(heading)
+    return directions[0, car], directions[1, car]
 
 
 @inlined
@@ -105,13 +117,12 @@ def _begin(outline: Outline, cos: float, sin: float, work: np.ndarray) -> None:
 
 
 @apart
-def _cast(x: float, y: float, heading: float, half_length: float, half_width: float, work: np.ndarray) -> None:
-    """Brings rays up to the car whose middle is here, seen from where they begin.
+def _cast(x: float, y: float, cos: float, sin: float, half_length: float, half_width: float, work: np.ndarray) -> None:
+    """Brings rays up to the car whose middle is here, seen from where they begin, with this direction.
 
     Of its four sides only those count that face the rays' origin, one of each pair at most: as in `carrl.sim.kernels`,
     one division for each serves all rays. If none does, the origin is inside.
     """
-    cos, sin = math.cos(heading), math.sin(heading)
     ray_x, ray_y, nearness = work[0], work[1], work[2]
     ahead, left = -(cos * x + sin * y), sin * x - cos * y  # of the origin, as the car sees it
     if abs(ahead) <= half_length and abs(left) <= half_width:

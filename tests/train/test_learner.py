@@ -114,6 +114,19 @@ def test_large_networks_are_compiled_where_there_is_a_compiler(monkeypatch, trac
     assert machine.learner.state_dict()["kind"] == "machine code"
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"), [("items", 131072, "no such transition"), ("action", 3, "an action")]
+)
+def test_machine_code_reads_nothing_beyond_the_memory_and_the_values(key, value, message):
+    pipeline = make_pipeline("compile=true")
+    pipeline.learner.learn(2)
+    memory, items = memory_of(pipeline.replay_buffer), torch.zeros(1, 128, 1, dtype=torch.int64)
+    (items if key == "items" else memory["action"]).fill_(value)
+    make = pipeline.algorithm.machine_code(memory, 128)
+    with pytest.raises(ValueError, match=message):
+        make(2, items, None)
+
+
 class OwnLoss(DQNLoss):
     """A user's, which may compute anything."""
 

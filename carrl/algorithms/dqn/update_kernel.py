@@ -139,13 +139,16 @@ def update(
 
     Returns:
         The losses before each update, [U, A], float32, and the squared TD errors, [U, N, A], float32.
+
+    Raises:
+        ValueError: a transition is not in the memory, or has an action that there is not.
     """
     updates, _, replicates = items.shape
     losses, td_errors = np.empty((updates, replicates), np.float32), np.empty(items.shape, np.float32)
     taken = np.float64(parameters.step[0])
     for replicate in range(replicates):
         for number in range(updates):
-            _gather(rule.gamma, rule.input_exponent, memory, items[number], replicate, work)
+            _gather(rule.sizes[-1], rule.gamma, rule.input_exponent, memory, items[number], replicate, work)
             _weigh(weights[number : number + 1], replicate, work.share)
             _aim(rule, parameters, replicate, work)
             _forward(rule.sizes, rule.offsets, parameters.network, replicate, work.before, work.units)
@@ -158,7 +161,15 @@ def update(
 
 
 @apart
-def _gather(gamma: float, input_exponent: float, memory: Memory, items: np.ndarray, replicate: int, work: Work) -> None:
+def _gather(
+    actions: int,
+    gamma: float,
+    input_exponent: float,
+    memory: Memory,
+    items: np.ndarray,
+    replicate: int,
+    work: Work,
+) -> None:
     """Fetches the transitions at these places, [N, A], in one go: where the memory is large, most of them are far."""
     inputs = memory.observation.shape[2]
     for place in range(len(items)):
@@ -166,6 +177,8 @@ def _gather(gamma: float, input_exponent: float, memory: Memory, items: np.ndarr
         if not 0 <= item < len(memory.action):
             raise ValueError("there is no such transition in the memory")
         work.action[place] = memory.action[item, replicate]
+        if not 0 <= work.action[place] < actions:
+            raise ValueError("there is an action in the memory that the network does not value")
         work.goal[place] = memory.reward[item, replicate]
         work.discount[place] = np.float32(0) if memory.terminated[item, replicate] else np.float32(gamma)
         for value in range(inputs):
