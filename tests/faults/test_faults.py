@@ -218,7 +218,7 @@ def test_a_second_signal_ends_the_process_at_once(tmp_path):
 def test_a_signal_does_not_wait_for_the_compiler(never_stopped, tmp_path):
     run = tmp_path / "run"
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache"), "TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}
-    process = start(run, "compile=true", env=environment)
+    process = start(run, "compile=true", "loss=dueling", env=environment)
     wait_for(process, lambda: list((tmp_path / "cache" / "carrl").glob("*")))
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=30)
