@@ -199,11 +199,13 @@ class TrackEnv(EnvBase):
         finally:
             self._cars_before_reset = None
 
-    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+    def _step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """A step, and a new start for those cars whose episode it has ended; see EnvBase.
 
         It returns what TorchRL 0.14's own does (a test compares them), without going through all specs each time.
         """
+        if tensordict.device != self.device:
+            tensordict = tensordict.to(self.device)
         after = self._step(tensordict)
         values = {key: value for key, value in tensordict.items() if key != "next"}
         values |= {key: value for key, value in after.copy().items() if key != "reward"}
@@ -212,7 +214,7 @@ class TrackEnv(EnvBase):
         if done.any():
             ended = TensorDict({"_reset": done}, batch_size=self.batch_size, device=self.device)
             with self.among(following) if self.task.shares_worlds else contextlib.nullcontext():
-                begun = self._reset(ended) if self._start_line is None else self._start_line
+                begun = self._reset(ended)
             for key, value in begun.items(True, True):
                 wanted = done.view(-1, *[1] * (value.dim() - 1))
                 following[key] = torch.where(wanted, value, following[key])

@@ -4,7 +4,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
-from torchrl.collectors import Collector as TorchRLCollector
 
 from carrl.data.collector import CarCollector, make_collector
 from carrl.data.replay_buffer import KEYS, make_replay_buffer
@@ -101,18 +100,10 @@ def test_an_empty_batch_of_steps_is_refused():
         make_collector(0, env=TrackEnv(), policy=lambda state: state)
 
 
-def batches(collector_class, env, steps):
+def batches(env, steps):
     """Twelve batches of cars that a policy drives which does the next action in each step."""
     policy = TensorDictModule(lambda step: step % 3, in_keys=["step"], out_keys=["action"])
-    collector = collector_class(
-        env,
-        policy,
-        frames_per_batch=steps * env.batch_size[0],
-        total_frames=-1,
-        trust_policy=True,
-        track_traj_ids=False,
-        auto_register_policy_transforms=False,
-    )
+    collector = make_collector(steps, env=env, policy=policy)
     return [batch.clone() for _, batch in zip(range(12), collector, strict=False)]
 
 
@@ -131,9 +122,11 @@ def test_batches_are_those_of_torchrls_own_collector_and_reset(options, steps, m
     def make_env():
         return TrackEnv("oval", num_envs=6, max_steps=9, **({"seed": 3} | options))
 
-    own = batches(CarCollector, make_env(), steps)
-    monkeypatch.delattr(TrackEnv, "step_and_maybe_reset")
-    theirs = batches(TorchRLCollector, make_env(), steps)
+    own = batches(make_env(), steps)
+    for owner, names in ((TrackEnv, ["_step_and_maybe_reset"]), (CarCollector, ["iterator", "rollout"])):
+        for name in names:
+            monkeypatch.delattr(owner, name)  # so that TorchRL's is left
+    theirs = batches(make_env(), steps)
     assert any(batch["next", "done"].any() for batch in own)
     for ours, plain in zip(own, theirs, strict=True):
         assert ours.batch_size == plain.batch_size

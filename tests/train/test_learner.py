@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import nn
 from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.objectives import DQNLoss
 
 from carrl.algorithms.common.native import CompilationError, _fingerprint
+from carrl.algorithms.common.network import QNetwork
 from carrl.algorithms.dqn.dqn import DQN
+from carrl.algorithms.dqn.loss import make_dqn_loss
 from carrl.cache import cache_dir
 from carrl.data.replay_buffer import KEYS, memory_of
 from carrl.train.build import build_pipeline
@@ -150,6 +153,39 @@ def test_a_loss_of_another_kind_has_no_machine_code(make_loss):
     replicate = replace(replicate, loss=make_loss(replicate.network))
     algorithm = DQN([replicate], pipeline.algorithm.exploration, pipeline.world.action.names)
     with pytest.raises(CompilationError, match="the loss"):
+        algorithm.machine_code(memory_of(pipeline.replay_buffer), 8)
+
+
+RELU = nn.ReLU()
+
+
+class Counting(nn.Linear):
+    """A layer of a user's own, with a buffer of another type."""
+
+    def __init__(self, inputs, outputs):
+        super().__init__(inputs, outputs)
+        self.register_buffer("calls", torch.zeros(1, dtype=torch.int64))
+
+
+@pytest.mark.parametrize(
+    "layers",
+    [
+        [nn.Linear(7, 8, bias=False), nn.ReLU(), nn.Linear(8, 3)],
+        [nn.Linear(7, 8).requires_grad_(False), nn.ReLU(), nn.Linear(8, 3)],
+        [Counting(7, 8), nn.ReLU(), nn.Linear(8, 3)],
+        [nn.Linear(7, 8), RELU, nn.Linear(8, 3), RELU],
+    ],
+    ids=["without biases", "partly frozen", "of a class of its own", "one ReLU twice, at the end, too"],
+)
+def test_a_network_of_another_kind_has_no_machine_code_and_acts_as_it_is(layers):
+    network = QNetwork(nn.Sequential(*layers))
+    pipeline = make_pipeline()
+    (replicate,) = pipeline.algorithm.replicates
+    replicate = replace(replicate, network=network, loss=make_dqn_loss(0.9, "l2", False, network=network))
+    algorithm = DQN([replicate], pipeline.algorithm.exploration, pipeline.world.action.names)
+    observation = torch.rand(5, 7)
+    torch.testing.assert_close(algorithm.greedy.action_values(observation), network.layers(observation))
+    with pytest.raises(CompilationError, match="the network is not made of linear layers"):
         algorithm.machine_code(memory_of(pipeline.replay_buffer), 8)
 
 

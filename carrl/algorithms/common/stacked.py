@@ -5,6 +5,7 @@ outputs.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -26,12 +27,14 @@ class StackedLayers(nn.Module):
     def __init__(self, layers: Sequence[nn.Module]) -> None:
         super().__init__()
         parameters = [dict(each.named_parameters()) | dict(each.named_buffers()) for each in layers]
-        stack_side_by_side([list(of_one.values()) for of_one in parameters])
+        self._is_layered = isinstance(layers[0], nn.Sequential) and all(map(_is_simple, layers[0]))
+        if self._is_layered:  # and so all of one type, in one piece, which machine code wants
+            stack_side_by_side([list(of_one.values()) for of_one in parameters])
         self._stacked = {name: stack_in_place([of_one[name] for of_one in parameters]) for name in parameters[0]}
         self.layers = layers[0]  # whose values the stacked ones replace
         self.replicates = len(layers)
-        self._is_layered = isinstance(self.layers, nn.Sequential) and all(map(_is_simple, self.layers))
-        self._named = list(self.layers.named_children())
+        # Not `named_children`, which leaves out what is there twice.
+        self._named: list[tuple[str, Any]] = list(self.layers._modules.items())
 
     @property
     def weights(self) -> Mapping[str, Tensor]:

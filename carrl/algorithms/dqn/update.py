@@ -115,7 +115,7 @@ class MachineUpdates:
             rates: learning rates, [U], float64.
 
         Returns:
-            The losses before each update, [U, A], and the TD errors, [U, N, A].
+            The losses before each update, [U, A], and the squared TD errors, [U, N, A].
         """
         counts = self._all_alike if weights is None else _array(weights, torch.float32)
         found = update(
@@ -130,9 +130,10 @@ def weights_of(network: QNetwork) -> int:
 
 
 def check_plain(network: QNetwork, loss: DQNLoss) -> None:
-    """Raises CompilationError for parts of a user's own, and for what TorchRL's loss can do besides."""
+    """Raises CompilationError for parts of a user's own, other layers, and what TorchRL's loss can do besides."""
     if type(network) is not QNetwork or type(loss) not in _LOSSES:
         raise CompilationError(f"the network is a {type(network).__name__}, the loss a {type(loss).__name__}")
+    _linear_layers(network.layers)
     estimator = loss.value_estimator
     plain = loss.loss_function in ("l2", "smooth_l1") and loss.reduction == "mean" and loss.delay_value
     plain = plain and type(estimator) is TD0Estimator and not estimator.average_rewards
@@ -142,15 +143,22 @@ def check_plain(network: QNetwork, loss: DQNLoss) -> None:
 
 def _linear_layers(layers: nn.Module) -> tuple[list[str], float]:
     """The names of the linear layers, between which there is ReLU, and what observations are raised to before them."""
-    named = [*layers.named_children()] if isinstance(layers, nn.Sequential) else []
+    # Not `named_children`, which leaves out what is there twice.
+    named: list[Any] = [*layers._modules.items()] if isinstance(layers, nn.Sequential) else []
     exponent = 1.0
     if named and isinstance(power := named[0][1], Power):
         exponent = float(power.exponent)
         named = named[1:]
     kinds = [nn.Linear if place % 2 == 0 else nn.ReLU for place in range(len(named))]
-    if not len(named) % 2 or any(type(layer) is not kind for (_, layer), kind in zip(named, kinds, strict=True)):
+    is_alternating = len(named) % 2 and all(type(layer) is kind for (_, layer), kind in zip(named, kinds, strict=True))
+    if not is_alternating or not all(map(_learns_all, [layer for _, layer in named[::2]])):
         raise CompilationError("the network is not made of linear layers with ReLU between them")
     return [name for name, _ in named[::2]], exponent
+
+
+def _learns_all(layer: nn.Linear) -> bool:
+    """Whether a layer has biases, and nothing of it is frozen."""
+    return layer.bias is not None and all(parameter.requires_grad for parameter in layer.parameters())
 
 
 def _array(tensor: Tensor, dtype: torch.dtype) -> np.ndarray:
