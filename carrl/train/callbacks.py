@@ -167,9 +167,10 @@ class Evaluator(Callback):
 
     def _evaluate(self, trainer: "Trainer") -> None:
         self._evaluated_at = trainer.frames
-        evaluations = self.drive(trainer)
-        for index, run in trainer.active.items():
-            run.add_evaluation(evaluations[index], trainer.status(run.status.loss))
+        with trainer.evaluated_weights():
+            evaluations = self.drive(trainer)
+            for index, run in trainer.active.items():
+                run.add_evaluation(evaluations[index], trainer.status(run.status.loss))
 
     def drive(self, trainer: "Trainer") -> list[EvaluationResult]:
         """The evaluation of every replicate's network, all driven side by side."""

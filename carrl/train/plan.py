@@ -152,11 +152,14 @@ class EvaluationPlan:
         interval: env steps between two evaluations, greedy drives on the validation circuits or the one track.
         starts: places on each of them, spread evenly from its start line on; a drive begins at each.
         laps: of each drive, in a row; where they are several, networks are chosen by the last of them, a flying lap.
+        averaged_updates: over which the weights of networks are averaged, exponentially, before they are tried out and
+            kept; None for the weights as they are. What is learnt is the same.
     """
 
     interval: int
     starts: int = 1
     laps: int = 1
+    averaged_updates: int | None = None
 
     def __post_init__(self) -> None:
         """Raises ConfigError unless all are positive."""
@@ -166,6 +169,11 @@ class EvaluationPlan:
             raise ConfigError(f"evaluation.starts is {self.starts}; it must be a whole number from 1 to {MOST_STARTS}")
         if not (is_whole_number(self.laps) and 1 <= self.laps <= MOST_LAPS):
             raise ConfigError(f"evaluation.laps is {self.laps}; it must be a whole number from 1 to {MOST_LAPS}")
+        if not (self.averaged_updates is None or (is_whole_number(self.averaged_updates) and self.averaged_updates >= 1)):
+            raise ConfigError(
+                f"evaluation.averaged_updates is {shown(self.averaged_updates)}; it must be null or a whole number of "
+                "at least 1"
+            )
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@ Shapes: `A` replicates.
 
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import Any
 
 import carrl
 from carrl.algorithms.algorithm import Algorithm
 from carrl.data.source import Source
 from carrl.errors import CarrlError, CheckpointError, ConfigError
+from carrl.train.averaging import WeightAverages
 from carrl.train.build import Pipeline
 from carrl.train.callbacks import Callback, Evaluator, LoggedProgress, Recorder
 from carrl.train.checkpoint import StateFile, check_fits
@@ -53,6 +54,8 @@ class Trainer:
         self._start_up_s = self._began - carrl._IMPORTED_AT
         self._stopping = False
         self._state_file = state_file
+        horizon = pipeline.evaluation.averaged_updates if pipeline.evaluation else None
+        self._averages = WeightAverages(algorithm.networks, horizon) if horizon else None
         self._own_callbacks = [Recorder(), LoggedProgress(), Evaluator(pipeline.evaluation)]
         self._callbacks: Sequence[Callback] = self._own_callbacks
 
@@ -116,6 +119,10 @@ class Trainer:
         self.stop()
         self.learner.interrupt()
 
+    def evaluated_weights(self) -> AbstractContextManager[None]:
+        """The networks have the weights that are tried out and kept until the end of the `with` statement."""
+        return nullcontext() if self._averages is None else self._averages.in_place()
+
     def status(self, loss: float) -> TrainingStatus:
         """Where the training of a replicate with this loss stands."""
         return TrainingStatus(self.frames, self.updates, loss, self.wall_time_s, self.algorithm.figures())
@@ -171,6 +178,8 @@ class Trainer:
         for callback in self._callbacks:
             callback.on_collected(self, batch)
         self.learner.learn(batch.steps)
+        if self._averages is not None:
+            self._averages.follow(self.updates)
         self._check_losses()
         losses = self.learner.losses.tolist()
         for index, run in self.active.items():
@@ -198,8 +207,9 @@ class Trainer:
         """
         if self._stopping:
             self.save()
-            for run in self.active.values():
-                run.keep_network("last")
+            with self.evaluated_weights():
+                for run in self.active.values():
+                    run.keep_network("last")
             self._let_go(list(self.active))
             return
         over = [index for index, run in self.active.items() if self._has_reached_a_limit(run)]
@@ -238,6 +248,7 @@ class Trainer:
             "learner": self.learner.state_dict(),
             "runs": [run.state_dict() for run in self.runs],
             "callbacks": [callback.state_dict() for callback in self._own_callbacks],
+            **({} if self._averages is None else {"averages": self._averages.state_dict()}),
             "active": list(self.active),
             "wall_time_s": self.wall_time_s,
             "first_update_s": self.first_update_s,
@@ -261,6 +272,8 @@ class Trainer:
         self.source.load_state_dict(state)  # before the sampler, which has priorities of its own
         self.algorithm.load_state_dict(state["algorithm"])
         self.learner.load_state_dict(state["learner"])
+        if self._averages is not None:
+            self._averages.load_state_dict(state["averages"], self.updates)
         for run, own in zip(self.runs, state["runs"], strict=True):
             run.load_state_dict(own)
         for callback, own in zip(self._own_callbacks, state["callbacks"], strict=True):

@@ -154,13 +154,16 @@ class Adam(NamedTuple):
         rate = self.lr if lr is None else lr
         moved: dict[Any, Tensor] = {}
         after: dict[str, dict[Any, Tensor]] = {name: {} for name in state}
+        # All parameters have made as many steps, and a power of 0 dimensions would be taken anew for each of their
+        # elements: Inductor (torch 2.13) writes what is taken of 16 numbers into memory first.
+        taken = (next(iter(state["step"].values())) + 1).double().expand(16)
+        left_1, left_2 = ((1 - beta**taken).amax() for beta in (self.beta_1, self.beta_2))
         for key, value in parameters.items():
             gradient, step = gradients[key], state["step"][key] + 1
             average = state["exp_avg"][key].lerp(gradient, 1 - self.beta_1)
             square = torch.addcmul(state["exp_avg_sq"][key] * self.beta_2, gradient, gradient, value=1 - self.beta_2)
-            taken = step.double()
-            unbiased = average / (1 - self.beta_1**taken).to(average.dtype)
-            scale = (square / (1 - self.beta_2**taken).to(square.dtype)).sqrt() + self.eps
+            unbiased = average / left_1.to(average.dtype)
+            scale = (square / left_2.to(square.dtype)).sqrt() + self.eps
             moved[key] = value - rate * unbiased / scale
             after["step"][key], after["exp_avg"][key], after["exp_avg_sq"][key] = step, average, square
         return moved, after
