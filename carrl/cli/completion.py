@@ -71,7 +71,7 @@ VALUES = {
     "--policy": get_args(PolicyName),
     "--checkpoint": ("best", "last"),
     "--format": FORMATS,
-    "--objective": ("first_lap", "drive"),
+    "--objective": ("first_lap", "drive", "lap_time"),
     "--vehicle": ("bicycle", "kinematic", "paper", "single_track"),
     "--opponents": ("line", "rule"),
     "--direction": ("clockwise", "counterclockwise"),

@@ -257,7 +257,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=OBJECTIVES,
         default="first_lap",
         help="first_lap: env steps until the greedy policy first laps, and again at the next evaluation (default); "
-        "drive: how well it drives at its best",
+        "drive: how well it drives at its best; lap_time: mean lap time at its best, s",
     )
     parser.add_argument("--no-pruning", action="store_true", help="give up no trial before its end")
     parser.add_argument(

@@ -121,6 +121,18 @@ def test_a_trial_of_a_search_is_settled_by_a_confirmed_lap_only(lap, network, tm
         assert (objective.is_settled([run]), objective.value([run], 4000)) == (True, 1000.0)
 
 
+def test_a_search_for_lap_times_takes_a_lap_that_does_not_count_for_an_hour_and_more(lap, crash, network, tmp_path):
+    objective = OBJECTIVES["lap_time"]
+    both = EvaluationResult((*lap.rollouts, *crash.rollouts))
+    with RunFolder(tmp_path) as folder:
+        run = ReplicateRun(0, network, folder)
+        assert objective.value([run], 4000) == 7200.0
+        run.add_evaluation(both, moment(1000, 1))
+        assert objective.value([run], 4000) == pytest.approx((lap.lap_time + 1.5 * 3600) / 2)
+        run.add_evaluation(EvaluationResult(lap.rollouts * 2), moment(2000, 2))
+        assert objective.value([run], 4000) == pytest.approx(lap.lap_time)
+
+
 def summary_of(first_lap, lap_completed, **others):
     drive = {"lap_reward": 400.0, "lap_steps": 230, "forward_share": 0.5, "switches_per_100m": 20.0, "progress": 1.0}
     return {
