@@ -101,11 +101,11 @@ class Run:
         Raises:
             CarrlError: there are several seeds, or there is no such checkpoint.
         """
-        if self._has_seeds:
+        if len(self._folders) > 1:
             raise CarrlError(
                 f"{self!r} has {len(self._folders)} seeds; take the policy of one: run.replicates[0].policy"
             )
-        policy = load_greedy_policy(self.folder, "best", self.config, self.world)
+        policy = load_greedy_policy(self._folders[0], "best", self.config, self.world)
         return DrivingPolicy(policy, self.world.observation_size)
 
     @property
