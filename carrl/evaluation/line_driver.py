@@ -182,7 +182,7 @@ class LineDriver:
         understeer = self._understeer(across, drive.minimum(see.acceleration.clamp(min=0)))
         damping = DAMPING * car.length * (see.speed * curvature - see.yaw_rate)
         angle = car.wheelbase * curvature + understeer + damping
-        return torch.stack([self._wheel(angle, see), *self._pedals(drive)], dim=-1).clamp(-1, 1).float()
+        return torch.stack([self._wheel(angle, see), *self._pedals(drive, see.speed)], dim=-1).clamp(-1, 1).float()
 
     def _understeer(self, across: Tensor, along: Tensor) -> Tensor:
         """By how much tyres slip more in front than behind at these accelerations [B], m/s^2: [B], rad."""
@@ -210,7 +210,11 @@ class LineDriver:
             return (angle - see.steering) / (car.steering_rate * car.time_step)
         return angle / car.steering_range(see.speed)
 
-    def _pedals(self, drive: Tensor) -> list[Tensor]:
+    def _pedals(self, drive: Tensor, speed: Tensor) -> list[Tensor]:
         """The controls that give an acceleration [B], m/s^2."""
         push = (drive / self.car.max_acceleration).clamp(-1, 1)
-        return [push] if self.car.pedals == "one" else [2 * push.clamp(min=0) - 1, -2 * push.clamp(max=0) - 1]
+        if self.car.pedals == "two":
+            return [2 * push.clamp(min=0) - 1, -2 * push.clamp(max=0) - 1]
+        if self.car.pedals == "power":
+            push = torch.where(push > 0, push * (speed / self.car.power_speed).clamp(min=1), push)
+        return [push]

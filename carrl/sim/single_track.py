@@ -26,6 +26,8 @@ else:  # That they may be left to the preset is nobody's business once it has fi
     Word = str | None
 
 STEERING = "angle", "rate", "servo"
+_PEDALS = {**PEDALS, "speed": ("speed",), "power": ("pedal",)}
+"""Names of the controls beside the steering wheel."""
 COMMANDS = "steer_command", "earlier_steer_command"
 """What the servo has been told in the last two substeps, the last first, -1..1."""
 SERVO_DEAD_BAND = 1e-4
@@ -49,7 +51,9 @@ class SingleTrack(DrivenCar):
             turn there as fast as they can; `rate`: a share of how fast they turn; `servo`: F1TENTH's, a share of
             `max_steering`, with a delay of two substeps.
         pedals: `one`: drives where it is positive, brakes where it is negative; `two`: throttle and brake, each
-            released at -1 and down at 1; `speed`: F1TENTH's, a share of `max_speed`, or of `min_speed` below 0.
+            released at -1 and down at 1; `power`: as `one`, but above 0 it is a share of what the engine gives at this
+            speed, so that no part of its way is without effect; `speed`: F1TENTH's, a share of `max_speed`, or of
+            `min_speed` below 0.
         contact: `body`: any part of it that touches a wall on the way; `corners`: one of its corners that is beyond a
             wall after a step, as in the F1TENTH survey of Evans et al. 2024.
         integrator: `rk4` or `euler`; always `rk4` with brush tyres.
@@ -105,7 +109,7 @@ class SingleTrack(DrivenCar):
         "preset": PRESETS,
         "tyre": TYRES,
         "steering": STEERING,
-        "pedals": (*PEDALS, "speed"),
+        "pedals": _PEDALS,
         "contact": ("body", "corners"),
         "integrator": ("rk4", "euler"),
     }
@@ -154,7 +158,7 @@ class SingleTrack(DrivenCar):
     @property
     def control_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Steering wheel, then pedals or speed."""
-        return "steer", *PEDALS.get(self.pedals, ("speed",))
+        return "steer", *_PEDALS[self.pedals]
 
     @property
     def body(self) -> Rectangle:
@@ -180,7 +184,7 @@ class SingleTrack(DrivenCar):
         return (
             float(self.tyre == "brush"),
             STEERING.index(self.steering),
-            float(self.pedals == "speed"),
+            {"speed": 1, "power": 2}.get(self.pedals, 0),
             float(self.integrator == "euler"),
             self.substeps,
             self.time_step / self.substeps,
@@ -269,6 +273,9 @@ class SingleTrack(DrivenCar):
         """What the driver asks for, [N], m/s^2."""
         if self.pedals == "one":
             return pedals[0] * self.max_acceleration
+        if self.pedals == "power":
+            given = self.max_acceleration * self.power_speed / speed.abs().clamp(min=self.power_speed)
+            return torch.where(pedals[0] > 0, pedals[0] * given, pedals[0] * self.max_acceleration)
         if self.pedals == "two":
             return (pedals[0] - pedals[1]) / 2 * self.max_acceleration
         missing = pedals[0].clamp(min=0) * self.max_speed - pedals[0].clamp(max=0) * self.min_speed - speed

@@ -25,7 +25,7 @@ class Constants(NamedTuple):
     Attributes:
         has_brush_tyres: not 0 for brush tyres, 0 for linear ones.
         steering: 0 for `angle`, 1 for `rate`, 2 for `servo`.
-        by_speed: not 0 where the driver sets a speed.
+        pedals: 0 where they give an acceleration, 1 where the driver sets a speed, 2 where the engine gives a share.
         by_euler: not 0 for Euler's integrator.
         substeps: in a step.
         substep: s.
@@ -52,7 +52,7 @@ class Constants(NamedTuple):
 
     has_brush_tyres: float
     steering: float
-    by_speed: float
+    pedals: float
     by_euler: float
     substeps: float
     substep: float
@@ -164,7 +164,9 @@ def _wanted(car: Constants, control: np.ndarray, speed: float) -> float:
     pedal = control[1]
     if len(control) == 3:
         return (pedal - control[2]) / 2 * car.max_acceleration
-    if not car.by_speed:
+    if car.pedals == 2 and pedal > 0:
+        return pedal * car.max_acceleration * car.power_speed / max(abs(speed), car.power_speed)
+    if car.pedals != 1:
         return pedal * car.max_acceleration
     missing = pedal * (car.max_speed if pedal > 0 else -car.min_speed) - speed
     gain = (car.forward_gain if speed > 0 else car.backward_gain) * car.max_acceleration

@@ -45,8 +45,8 @@ def test_no_driver_is_faster_than_the_limit_and_the_line_comes_near_it():
 
 @pytest.mark.parametrize(
     "car",
-    [SingleTrack(pedals="two"), SingleTrack(steering="rate"), SingleTrack(time_step=0.05)],
-    ids=["two pedals", "steering rate", "shorter steps"],
+    [SingleTrack(pedals="two"), SingleTrack(pedals="power"), SingleTrack(steering="rate"), SingleTrack(time_step=0.05)],
+    ids=["two pedals", "power", "steering rate", "shorter steps"],
 )
 def test_cars_that_are_controlled_otherwise_lap_too(car):
     assert None not in flying_laps(car, follow, starts=2)

@@ -17,6 +17,8 @@ GRIP = 1.0489 * GRAVITY
 CARS = [
     {},
     {"pedals": "two", "steering": "rate"},
+    {"pedals": "power"},
+    {"preset": "commonroad_2", "pedals": "power"},
     {"time_step": 0.04, "pedals": "speed", "min_speed": -8.0},
     {"preset": "commonroad_2"},
     {"preset": "commonroad_2", "tyre": "brush"},
@@ -288,6 +290,16 @@ def test_two_pedals_act_together():
     assert drive(car, at(car, speed=5.0), 0.0, 0.0, -1.0)["acceleration"] == pytest.approx(5.75)
     assert drive(car, at(car, speed=5.0), 0.0, -1.0, 0.0)["acceleration"] == pytest.approx(-5.75)
     assert drive(car, at(car, speed=5.0), 0.0, 0.5, 0.0)["acceleration"] == pytest.approx(0.25 * 11.5)
+
+
+def test_half_a_pedal_is_half_the_power_at_any_speed_and_half_the_brakes():
+    car = SingleTrack(pedals="power", substep=0.1, integrator="rk4")
+    assert car.control_names == ("steer", "pedal")
+    half = 11.5 / 2
+    assert drive(car, at(car, speed=5.0), 0.0, 0.5)["acceleration"] == pytest.approx(half)
+    assert drive(car, at(car, speed=29.276), 0.0, 0.5)["acceleration"] == pytest.approx(half / 4, rel=0.01)
+    assert drive(SingleTrack(), at(car, speed=29.276), 0.0, 0.5)["acceleration"] == pytest.approx(11.5 / 4, rel=0.02)
+    assert drive(car, at(car, speed=29.276), 0.0, -0.5)["acceleration"] == pytest.approx(-half)
 
 
 # Parameters

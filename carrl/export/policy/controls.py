@@ -86,6 +86,8 @@ def _steering(vehicle: Kinematic | SingleTrack) -> ControlQuantity:
 def _pedals(pedals: str, drive: float, brake: float) -> tuple[ControlQuantity, ...]:
     if pedals == "one":
         return (ControlQuantity("pedal", "acceleration asked for", "m/s^2", (-brake, 0.0, drive)),)
+    if pedals == "power":
+        return (ControlQuantity("pedal", "share of the engine's power, below 0 of the brakes", "1", (-1.0, 0.0, 1.0)),)
     return tuple(
         ControlQuantity(name, "share of the pedal's way", "1", (0.0, 0.5, 1.0)) for name in ("throttle", "brake")
     )
