@@ -23,7 +23,7 @@ BESIDE = {
     **{f"exploration/{name}": ["loss=sac"] for name in ("none", "gaussian", "ornstein_uhlenbeck")},
     "vehicle/kinematic": DRIVEN,
     "vehicle/single_track": DRIVEN,
-    **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "race", "racer", "torcs")},
+    **{f"observation/{name}": DRIVEN for name in ("f1tenth", "gran_turismo", "race", "racer", "time_trial", "torcs")},
     **{
         f"reward/{name}": DRIVEN
         for name in ("progress", "gran_turismo", "race", "racing", "lap_time", "torcs", "torcs_centred")

@@ -24,7 +24,7 @@ from carrl.tracks.track import Track
 from tests.configs import compose
 
 VEHICLES = {"kinematic": Kinematic(), "race": SingleTrack(), "f1tenth": SingleTrack("f1tenth", time_step=0.05)}
-OBSERVATIONS = ["gran_turismo", "torcs", "f1tenth", "racer"]
+OBSERVATIONS = ["gran_turismo", "time_trial", "torcs", "f1tenth", "racer"]
 ENDS = ["contact", "gran_turismo", "torcs"]
 REWARDS = ["progress", "gran_turismo", "torcs", "torcs_centred", "racing", "lap_time"]
 
