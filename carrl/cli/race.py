@@ -34,6 +34,7 @@ def main(argv: list[str]) -> int:
     """Prints the races and a league table, or one JSON document."""
     arguments = _parser().parse_intermixed_args(argv)
     folders = _check(arguments)
+    print(printable(_announced(arguments, len(folders))), file=sys.stderr, flush=True)
     import torch  # From here on it takes seconds.
 
     torch.set_num_threads(1)
@@ -121,6 +122,17 @@ def _check(arguments: argparse.Namespace) -> list[Path]:
     elif arguments.log is not None and len(folders) > 1:
         raise ConfigError(f"--log keeps the races of one run, and here are {len(folders)}; name the folder of one")
     return folders
+
+
+def _announced(arguments: argparse.Namespace, entrants: int) -> str:
+    """What is about to take a while."""
+    races = f"{arguments.races} {'race' if arguments.races == 1 else 'races'} of {arguments.laps} laps"
+    if arguments.opponents is None:
+        who = f"{entrants} cars"
+    else:
+        runs = "one run" if entrants == 1 else f"{entrants} runs, one after the other,"
+        who = f"{runs} against {(arguments.cars or CARS) - 1} opponents by {arguments.opponents}"
+    return f"racing {who} on {', '.join(arguments.track)}: {races} on each track"
 
 
 def _race(arguments: argparse.Namespace, folders: Sequence[Path]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import pytest
 
 from carrl.cli.main import VERBS, main
 from carrl.cli.text import next_steps
+from tests.run_folders import write_run
 
 HEAVY = ("torch", "torchrl", "tensordict", "scipy", "shapely", "matplotlib", "numba", "gymnasium")
 HELPS = [[], ["--help"], ["--version"], *([verb, "--help"] for verb in VERBS)]
@@ -96,6 +97,21 @@ def test_the_first_line_of_a_training_comes_before_torch(tmp_path):
         command, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": os.getcwd()}
     )
     assert done.stderr.splitlines()[0] == f"training seed 0 on track oval, in {tmp_path / 'run'}"
+    assert "import of torch halted" in done.stderr
+
+
+def test_the_first_line_of_a_race_comes_before_torch(tmp_path):
+    write_run(tmp_path / "run")
+    (tmp_path / "run" / "checkpoints").mkdir(exist_ok=True)
+    (tmp_path / "run" / "checkpoints" / "best.pt").touch()  # which nobody reads before torch is there
+    script = "import sys; sys.modules['torch'] = None; from carrl.cli.main import main; main(sys.argv[1:])"
+    asked = ["race", f"{tmp_path / 'run'}", "--track", "oval", "--opponents", "line"]
+    command = [sys.executable, "-c", script, *asked]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": os.getcwd()}
+    )
+    first = "racing one run against 5 opponents by line on oval: 10 races of 3 laps on each track"
+    assert done.stderr.splitlines()[0] == first
     assert "import of torch halted" in done.stderr
 
 
