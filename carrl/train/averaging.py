@@ -21,9 +21,14 @@ class WeightAverages:
     """
 
     def __init__(self, networks: Sequence[nn.Module], horizon: int, updates: int = 0) -> None:
-        self._weights = [weight.detach() for network in networks for weight in network.parameters()]
+        self._parameters = [weight for network in networks for weight in network.parameters()]
         self._averages = [weight.clone() for weight in self._weights]
         self._horizon, self._updates = horizon, updates
+
+    @property
+    def _weights(self) -> list[Tensor]:
+        """Where they lie now: they move when updates are compiled."""
+        return [weight.data for weight in self._parameters]
 
     def follow(self, updates: int) -> None:
         """Takes the weights in that there are after so many updates in all."""

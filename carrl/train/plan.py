@@ -169,10 +169,10 @@ class EvaluationPlan:
             raise ConfigError(f"evaluation.starts is {self.starts}; it must be a whole number from 1 to {MOST_STARTS}")
         if not (is_whole_number(self.laps) and 1 <= self.laps <= MOST_LAPS):
             raise ConfigError(f"evaluation.laps is {self.laps}; it must be a whole number from 1 to {MOST_LAPS}")
-        if not (self.averaged_updates is None or (is_whole_number(self.averaged_updates) and self.averaged_updates >= 1)):
+        updates = self.averaged_updates
+        if not (updates is None or (is_whole_number(updates) and updates >= 1)):
             raise ConfigError(
-                f"evaluation.averaged_updates is {shown(self.averaged_updates)}; it must be null or a whole number of "
-                "at least 1"
+                f"evaluation.averaged_updates is {shown(updates)}; it must be null or a whole number of at least 1"
             )
 
 
