@@ -82,5 +82,5 @@ def test_a_run_that_was_stopped_goes_on_with_its_averages(tmp_path, monkeypatch)
 
 @pytest.mark.parametrize("value", ["0", "1.5", "true"])
 def test_no_number_of_updates_is_refused(value):
-    with pytest.raises(
-        ConfigError, match=r"evaluation\.averaged_updates is .*; it must be "))
+    with pytest.raises(ConfigError, match=r"evaluation\.averaged_updates is .*; it must be "):
+        build_pipeline(compose(f"evaluation.averaged_updates={value}"))
