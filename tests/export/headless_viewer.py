@@ -56,6 +56,15 @@ def connected(process, url, patience=120):
     pytest.fail(f"the viewer did not load the recording within {patience} s")
 
 
+def save_screenshot(viewer, png, view, patience=6):
+    """Saves what a view shows; on a busy machine the viewer misses its own deadline, which cannot be set (Rerun 0.41)."""
+    for _ in range(patience):
+        with suppress(TimeoutError):
+            viewer.save_screenshot(str(png), view.view_id)
+            return
+    pytest.fail(f"the viewer did not draw in time, {patience} times")
+
+
 def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -14,7 +14,7 @@ from carrl.errors import CarrlError
 from carrl.log.trace import EpisodeTrace
 from carrl.render.colours import DARK, rgb
 from tests.driven_episode import MOUNT
-from tests.export.headless_viewer import headless_viewer
+from tests.export.headless_viewer import headless_viewer, save_screenshot
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 
@@ -320,6 +320,6 @@ def picture_of_map(recording, step, png):
     with headless_viewer(recording) as viewer:
         viewer.set_time("step", sequence=step, play_state="paused")
         (view,) = [view for view in viewer.get_state().views if view.origin == "/map"]
-        viewer.save_screenshot(str(png), view.view_id)
+        save_screenshot(viewer, png, view)
     with Image.open(png) as image:
         return np.asarray(image.convert("RGB"))
