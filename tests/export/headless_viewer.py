@@ -57,7 +57,7 @@ def connected(process, url, patience=120):
 
 
 def save_screenshot(viewer, png, view, patience=6):
-    """Saves what a view shows; on a busy machine the viewer misses its own deadline, which cannot be set (Rerun 0.41)."""
+    """Saves what a view shows; on a busy machine the viewer misses its own deadline (Rerun 0.41), which is fixed."""
     for _ in range(patience):
         with suppress(TimeoutError):
             viewer.save_screenshot(str(png), view.view_id)
