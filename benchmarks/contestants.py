@@ -121,6 +121,10 @@ def _train_actor_critic(algorithm: str, units: int, frames: int) -> Measurement:
     return _train_carrl(True, 1, frames, *overrides)
 
 
+PEER_FRAMES = 10 * ACTOR_CRITIC_BATCH_SIZE
+"""Of Stable-Baselines3's actors and critics, whatever they cost: in the first minibatch's steps nothing is learnt."""
+
+
 def _pair(algorithm: str, units: int) -> list[Contestant]:
     """CarRL's and Stable-Baselines3's form of an algorithm, with two layers of so many units."""
     suffix = "" if units == 64 else f"-{units}"
@@ -130,7 +134,7 @@ def _pair(algorithm: str, units: int) -> list[Contestant]:
     own = partial(_train_actor_critic, algorithm, units)
     return [
         Contestant(name, f"CarRL {algorithm.upper()}, {layers}, compiled", 1_920_000 // units, 1, own, **shared),
-        Contestant(f"sb3-{name}", title, 160_000 // units, 1, partial(_train_peer, f"sb3-{name}"), **shared),
+        Contestant(f"sb3-{name}", title, PEER_FRAMES, 1, partial(_train_peer, f"sb3-{name}"), **shared),
     ]
 
 
