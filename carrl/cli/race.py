@@ -126,13 +126,14 @@ def _check(arguments: argparse.Namespace) -> list[Path]:
 
 def _announced(arguments: argparse.Namespace, entrants: int) -> str:
     """What is about to take a while."""
-    races = f"{arguments.races} {'race' if arguments.races == 1 else 'races'} of {arguments.laps} laps"
+    races = f"{arguments.races} {'race' if arguments.races == 1 else 'races'}"
+    laps = f"{arguments.laps} {'lap' if arguments.laps == 1 else 'laps'}"
     if arguments.opponents is None:
         who = f"{entrants} cars"
     else:
         runs = "one run" if entrants == 1 else f"{entrants} runs, one after the other,"
         who = f"{runs} against {(arguments.cars or CARS) - 1} opponents by {arguments.opponents}"
-    return f"racing {who} on {', '.join(arguments.track)}: {races} on each track"
+    return f"racing {who} on {', '.join(arguments.track)}: {races} of {laps} on each track"
 
 
 def _race(arguments: argparse.Namespace, folders: Sequence[Path]) -> dict[str, Any]:

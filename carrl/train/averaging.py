@@ -17,13 +17,12 @@ class WeightAverages:
     Args:
         networks: trained side by side, by the same number of updates.
         horizon: updates after which a weight counts for 1/e of what it did. Until there were so many, all count alike.
-        updates: made so far.
     """
 
-    def __init__(self, networks: Sequence[nn.Module], horizon: int, updates: int = 0) -> None:
+    def __init__(self, networks: Sequence[nn.Module], horizon: int) -> None:
         self._parameters = [weight for network in networks for weight in network.parameters()]
         self._averages = [weight.clone() for weight in self._weights]
-        self._horizon, self._updates = horizon, updates
+        self._horizon, self._updates = horizon, 0
 
     @property
     def _weights(self) -> list[Tensor]:
